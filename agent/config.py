@@ -1,0 +1,46 @@
+"""What can be set on an agent? The experiment's [agent] table: every parameter with unit and source."""
+
+from typing import Any, Literal
+
+import msgspec
+
+from agent.interface.sensors import Detector, Odometry
+from agent.interface.tables import parse_table
+
+
+class Filter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The CPDAF's own parameters."""
+
+    gating: bool = True  # off: every detection is a candidate for every target (the paper's comparison)
+    hypothesis_evaluation: bool = True  # off: every hypothesis is enumerated (the paper's comparison)
+    P_G: float = 0.9999  # probability that a true detection falls inside its gate
+    pruned_mass: float = 1e-6  # weight relative to the best hypothesis below which one is left out
+    odometry_sigma_m: float = 0.001  # white noise of the odometry's position reading, beside its drift
+    odometry_sigma_rad: float = 0.0005  # the same for its yaw
+
+    def __post_init__(self) -> None:
+        if not 0 < self.P_G < 1:
+            raise ValueError(f"P_G = {self.P_G}: expected a probability between 0 and 1, both excluded")
+        if not 0 <= self.pruned_mass < 0.1:
+            raise ValueError(f"pruned_mass = {self.pruned_mass}: expected 0 to 0.1")
+        if not (0 < self.odometry_sigma_m < 1 and 0 < self.odometry_sigma_rad < 1):
+            raise ValueError("odometry_sigma_m, odometry_sigma_rad: expected between 0 and 1 (m, rad)")
+
+
+class AgentConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    start: Literal["survey"] = "survey"  # a rough measurement of where every odometry frame began
+    detector: Detector = Detector()  # what the estimator believes of the detector
+    odometry: Odometry = Odometry()  # what it believes of every MAV's VIO drift
+    filter: Filter = Filter()
+    localised_sigma_m: float = 0.15  # a MAV is called localised below this relative position uncertainty (any axis) ...
+    localised_sigma_rad: float = 0.05  # ... and this relative yaw uncertainty
+    wait_for_peers_s: float = 0.03  # real time only: how long a tick waits for the peers' packets
+
+
+def parse(table: dict[str, Any]) -> AgentConfig:
+    """The [agent] table of an experiment.
+
+    Raises:
+        BadExperiment: unknown key, wrong type or impossible value.
+    """
+    return parse_table(AgentConfig, table, "agent")

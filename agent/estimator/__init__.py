@@ -1,0 +1,1 @@
+"""The coupled probabilistic data association filter (the paper, Sec. V), one file per step."""

@@ -1,0 +1,1 @@
+"""The seam: all that a driver, a simulator or another agent must know of an agent."""

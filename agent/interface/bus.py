@@ -1,0 +1,234 @@
+"""How do messages travel? A bus over Zenoh, and its in-memory twin. The only module that imports zenoh.
+
+A program publishes to keys and pulls from inboxes; no callback ever runs in it. Lossless (lockstep): nothing is
+dropped, a full queue makes the publisher wait. Not lossless (real time): a slow receiver loses the oldest messages
+and never holds up a publisher.
+"""
+
+import json
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, Protocol, Self
+
+import zenoh
+
+from agent.interface import clock
+
+CAPACITY = 4096  # packets an inbox holds
+POLL_S = 0.0005
+
+
+class Packet(NamedTuple):
+    key: str
+    payload: bytes
+
+
+class Inbox(Protocol):
+    def drain(self) -> list[Packet]:
+        """What has arrived, oldest first; empty if nothing has."""
+
+    def wait(self, timeout_s: float | None) -> list[Packet]:
+        """The same, but waits for the first packet: for ever (None) or up to a limit."""
+
+
+class Bus(Protocol):
+    def publish(self, key: str, payload: bytes) -> None: ...
+
+    def subscribe(self, pattern: str) -> Inbox:
+        """An inbox for keys that match; in the pattern * stands for one chunk and a final ** for any number."""
+
+
+class BusError(Exception):
+    """The network could not be opened, or a process that was waited for did not come."""
+
+
+@dataclass(frozen=True)
+class Network:
+    """One process's place in the mesh."""
+
+    name: str  # "world", "mav_3", "recorder"
+    namespace: str  # prefixes every key; two runs with different ones never hear each other
+    listen: tuple[str, ...] = ()  # Zenoh endpoints
+    connect: tuple[str, ...] = ()
+    lossless: bool = True
+    deny: tuple[str, ...] = ()  # key expressions (without the namespace) that this process may not receive
+    extra: dict[str, Any] = field(default_factory=dict)  # Zenoh configuration, by path, on top
+
+
+class ZenohBus:
+    """A peer session with explicit endpoints; leave it by `with`, so that it closes on every way out."""
+
+    def __init__(self, network: Network) -> None:
+        self.network = network
+        try:
+            self._session = zenoh.open(_config(network))
+        except zenoh.ZError as error:
+            raise BusError(f"{network.name}: cannot open the network: {error}") from None
+        self._publishers: dict[str, zenoh.Publisher] = {}
+        self._alive: list[zenoh.LivelinessToken] = []
+
+    def publish(self, key: str, payload: bytes) -> None:
+        publisher = self._publishers.get(key)
+        if publisher is None:
+            lossless = self.network.lossless
+            publisher = self._publishers[key] = self._session.declare_publisher(
+                key,
+                congestion_control=zenoh.CongestionControl.BLOCK if lossless else zenoh.CongestionControl.DROP,
+                reliability=zenoh.Reliability.RELIABLE if lossless else zenoh.Reliability.BEST_EFFORT,
+            )
+        publisher.put(payload)
+
+    def subscribe(self, pattern: str) -> "ZenohInbox":
+        handlers = zenoh.handlers
+        handler = handlers.FifoChannel(CAPACITY) if self.network.lossless else handlers.RingChannel(CAPACITY)
+        return ZenohInbox(
+            self._session.declare_subscriber(pattern, handler, allowed_origin=zenoh.Locality.REMOTE)
+        )
+
+    def announce(self, key: str) -> None:
+        """Declares a liveliness token: it vanishes with this process, however it ends."""
+        self._alive.append(self._session.liveliness().declare_token(key))
+
+    def await_alive(self, keys: Iterable[str], timeout_s: float) -> None:
+        """Returns when a token is seen at each of the keys.
+
+        Raises:
+            BusError: some did not come in time; it names them.
+        """
+        missing, deadline = set(keys), clock.now_s() + timeout_s
+        with self._session.liveliness().declare_subscriber(
+            "**", zenoh.handlers.FifoChannel(CAPACITY), history=True
+        ) as tokens:
+            while missing:
+                sample = tokens.try_recv()
+                if sample is not None:
+                    if sample.kind == zenoh.SampleKind.PUT:
+                        missing.discard(str(sample.key_expr))
+                elif clock.now_s() > deadline:
+                    raise BusError(f"{self.network.name}: waited {timeout_s:g} s in vain for {sorted(missing)}")
+                else:
+                    clock.sleep_until(clock.now_s() + 0.01)
+
+    def close(self) -> None:
+        self._session.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class ZenohInbox:
+    def __init__(self, subscriber: "zenoh.Subscriber[Any]") -> None:
+        self._subscriber = subscriber
+
+    def drain(self) -> list[Packet]:
+        packets = []
+        # At most one capacity: a peer that floods must not keep the loop here.
+        while len(packets) < CAPACITY and (sample := self._subscriber.try_recv()) is not None:
+            packets.append(Packet(str(sample.key_expr), sample.payload.to_bytes()))
+        return packets
+
+    def wait(self, timeout_s: float | None) -> list[Packet]:
+        if timeout_s is None:
+            sample = self._subscriber.recv()  # signals are handled in here
+            return [Packet(str(sample.key_expr), sample.payload.to_bytes()), *self.drain()]
+        deadline = clock.now_s() + timeout_s
+        while not (packets := self.drain()) and clock.now_s() < deadline:
+            clock.sleep_until(clock.now_s() + POLL_S)
+        return packets
+
+
+class MemoryBus:
+    """The twin: one bus that all programs of one process share. Delivery is immediate and in order."""
+
+    def __init__(self) -> None:
+        self._inboxes: list[tuple[str, MemoryInbox]] = []
+        self._routes: dict[str, list[MemoryInbox]] = {}
+
+    def publish(self, key: str, payload: bytes) -> None:
+        inboxes = self._routes.get(key)
+        if inboxes is None:
+            inboxes = self._routes[key] = [inbox for pattern, inbox in self._inboxes if _matches(pattern, key)]
+        for inbox in inboxes:
+            inbox.packets.append(Packet(key, payload))
+
+    def subscribe(self, pattern: str) -> "MemoryInbox":
+        inbox = MemoryInbox()
+        self._inboxes.append((pattern, inbox))
+        self._routes.clear()
+        return inbox
+
+
+class MemoryInbox:
+    def __init__(self) -> None:
+        self.packets: deque[Packet] = deque()
+
+    def drain(self) -> list[Packet]:
+        packets = list(self.packets)
+        self.packets.clear()
+        return packets
+
+    def wait(self, timeout_s: float | None) -> list[Packet]:
+        return self.drain()
+
+
+def _matches(pattern: str, key: str) -> bool:
+    expected, chunks = pattern.split("/"), key.split("/")
+    if expected[-1] == "**":
+        expected = expected[:-1]
+        chunks = chunks[: len(expected)] if len(chunks) >= len(expected) else chunks
+    return len(expected) == len(chunks) and all(
+        want in ("*", chunk) for want, chunk in zip(expected, chunks, strict=True)
+    )
+
+
+def _config(network: Network) -> zenoh.Config:
+    """Explicit endpoints, no discovery, quick retries, bounded messages, no shared memory."""
+    settings: dict[str, Any] = {
+        "mode": "peer",
+        "namespace": network.namespace,
+        "listen/endpoints": list(network.listen),
+        "connect/endpoints": list(network.connect),
+        "connect/timeout_ms": -1,
+        "connect/exit_on_failure": False,
+        "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
+        "scouting/delay": 0,
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "open/return_conditions/connect_scouted": False,
+        "transport/shared_memory/enabled": False,
+        "transport/unicast/open_timeout": 2000,
+        "transport/unicast/accept_timeout": 2000,
+        "transport/link/tx/lease": 2000,
+        "transport/link/tx/keep_alive": 4,
+        "transport/link/tx/queue/size/data": 16,
+        "transport/link/rx/max_message_size": 1 << 20,
+        "adminspace/enabled": False,
+    }
+    if network.deny:
+        settings["access_control"] = {
+            "enabled": True,
+            "default_permission": "allow",
+            "rules": [
+                {
+                    "id": "deny",
+                    "permission": "deny",
+                    "flows": ["ingress", "egress"],
+                    "messages": ["put", "declare_subscriber"],
+                    "key_exprs": [f"{network.namespace}/{pattern}" for pattern in network.deny],
+                }
+            ],
+            "subjects": [{"id": "anyone"}],
+            "policies": [{"rules": ["deny"], "subjects": ["anyone"]}],
+        }
+    settings |= network.extra
+    config = zenoh.Config()
+    for path, value in settings.items():
+        config.insert_json5(path, json.dumps(value))
+    return config
+
+
+Publish = Callable[[str, bytes], None]

@@ -1,0 +1,238 @@
+"""What is on the wire? Every message of the swarm, its encoding and its validation.
+
+A message is a msgpack array: the header fields first, then its own. Blocks of numbers travel as little-endian
+binary (float64 unless said), because a third of a message would otherwise be type bytes. `decode` is the one
+boundary: what it returns is of the right version, run, size and shape, finite and within its physical range.
+"""
+
+from typing import TypeVar
+
+import msgspec
+import numpy as np
+
+from agent.interface.frames import Array
+
+VERSION = 1
+MAX_BYTES = 65_536  # no message of 50 MAVs comes near it
+MAX_DETECTIONS = 256
+SEARCHING, AMBIGUOUS, LOCALISED = range(3)
+STATES = ("searching", "ambiguous", "localised")
+
+
+class Rejected(Exception):
+    """A payload that is not a valid message; `reason` is one word for the counters."""
+
+    def __init__(self, reason: str, detail: str) -> None:
+        super().__init__(f"{reason}: {detail}")
+        self.reason = reason
+
+
+class Header(msgspec.Struct, array_like=True, frozen=True, gc=False, forbid_unknown_fields=True):
+    """The fields that every message begins with."""
+
+    version: int
+    epoch: int  # the run: messages of another run are ignored
+    sender: int  # MAV 1..N; 0 is the world
+    seq: int  # counts up from 0 per sender and topic
+    stamp_ns: int  # time of measurement, ns
+
+
+class Vio(Header, frozen=True):
+    """Visual-inertial odometry: pose of the body in its odometry frame."""
+
+    position: bytes  # (3,) m
+    quaternion: bytes  # (4,) x y z w
+
+    def __post_init__(self) -> None:
+        _expect_floats("position", self.position, 3, limit=1e6)
+        _expect_floats("quaternion", self.quaternion, 4, limit=1.001)
+        if abs(float(np.linalg.norm(floats(self.quaternion))) - 1) > 1e-3:
+            raise ValueError("non-finite or not of unit length: quaternion")
+
+
+class Sightings(Header, frozen=True):
+    """One anonymous detection set as the camera gives it, in the (rolled, pitched) body frame."""
+
+    spherical: bytes  # float32 (M, 3): range m, azimuth rad, elevation rad
+
+    def __post_init__(self) -> None:
+        _expect_spherical(self.spherical)
+
+
+class Survey(Header, frozen=True):
+    """A rough measurement of where every odometry frame began, in the odometry frame of the receiver."""
+
+    poses: bytes  # (N, 4): x y z m, yaw rad
+    position_sigma_m: float  # per axis
+    yaw_sigma_rad: float
+
+    def __post_init__(self) -> None:
+        _expect_floats("poses", self.poses, None, multiple=4, limit=1e6)
+        for name, value in (("position_sigma_m", self.position_sigma_m), ("yaw_sigma_rad", self.yaw_sigma_rad)):
+            if not 0 < value < 1e3:
+                raise ValueError(f"non-finite or out of range: {name} = {value}")
+
+
+class Odometry(Header, frozen=True):
+    """What peers need of a MAV's odometry: the gravity-aligned pose in its odometry frame."""
+
+    pose: bytes  # (4,): x y z m, yaw rad
+
+    def __post_init__(self) -> None:
+        _expect_floats("pose", self.pose, 4, limit=1e6)
+
+
+class Detections(Header, frozen=True):
+    """One anonymous detection set in the gravity-aligned, yaw-only body frame."""
+
+    spherical: bytes  # float32 (M, 3): range m, azimuth rad, elevation rad
+
+    def __post_init__(self) -> None:
+        _expect_spherical(self.spherical)
+
+
+class Estimate(Header, frozen=True):
+    """Where the sender believes every MAV to be, in the sender's odometry frame."""
+
+    states: bytes  # uint8 (N,): index into STATES
+    poses: bytes  # (N, 4): x y z m, yaw rad
+    covariances: bytes  # float32 (N, 10): upper triangle of each pose's 4 x 4 covariance, row by row
+    innovations: int  # of detections associated this tick
+    innovations_inside: int  # how many of them lie inside their own 95 % gate
+
+    def __post_init__(self) -> None:
+        if any(state >= len(STATES) for state in self.states):
+            raise ValueError("states: expected 0, 1 or 2")
+        _expect_floats("poses", self.poses, 4 * len(self.states), limit=1e6)
+        _expect_floats("covariances", self.covariances, 10 * len(self.states), dtype="<f4", limit=1e12)
+
+
+class Setpoint(Header, frozen=True):
+    """What the autopilot is asked to do, in the MAV's odometry frame, at the stamp."""
+
+    position: bytes  # (3,) m
+    velocity: bytes  # (3,) m/s
+    acceleration: bytes  # (3,) m/s^2
+    yaw: float  # rad
+
+    def __post_init__(self) -> None:
+        for name in ("position", "velocity", "acceleration"):
+            _expect_floats(name, getattr(self, name), 3, limit=1e6)
+        if not abs(self.yaw) < 1e3:
+            raise ValueError(f"non-finite or out of range: yaw = {self.yaw}")
+
+
+class Status(Header, frozen=True):
+    """How a program is doing: message counters since its start, and what its last tick cost (wall time)."""
+
+    sent: int
+    sent_bytes: int
+    received: int
+    rejected: int
+    late: int
+    duplicate: int
+    tick_us: int
+    station_us: tuple[int, ...]  # one per station update of the tick
+    final: bool = False  # the last message of its sender
+
+    def __post_init__(self) -> None:
+        if len(self.station_us) > 64:
+            raise ValueError("station_us: expected at most 64")
+
+
+class End(Header, frozen=True):
+    """The run is over: the stamp is that of the last tick."""
+
+
+class Truth(Header, frozen=True):
+    """The true pose of one MAV in the world frame (for deploy only)."""
+
+    mav: int
+    position: bytes  # (3,) m
+    quaternion: bytes  # (4,) x y z w
+
+    def __post_init__(self) -> None:
+        _expect_floats("position", self.position, 3, limit=1e6)
+        _expect_floats("quaternion", self.quaternion, 4, limit=1.001)
+
+
+class Labels(Header, frozen=True):
+    """Which MAV each detection of one sensor's set really was; 0 is a false detection (for deploy only)."""
+
+    mav: int  # whose sensor
+    targets: bytes  # uint8 (M,)
+
+
+M = TypeVar("M", bound=Header)
+
+
+def floats(block: bytes) -> Array:
+    """A float64 block as a flat read-only array."""
+    return np.frombuffer(block, "<f8")
+
+
+def spherical_block(spherical: Array) -> bytes:
+    """(M, 3) [range m, azimuth rad, elevation rad] as the wire has it."""
+    return np.asarray(spherical, "<f4").tobytes()
+
+
+def read_spherical(block: bytes) -> Array:
+    """(M, 3) [range m, azimuth rad, elevation rad] of a detection set."""
+    return np.frombuffer(block, "<f4").reshape(-1, 3).astype(np.float64)
+
+
+def encode(message: Header) -> bytes:
+    return _encoder.encode(message)
+
+
+def decode(kind: type[M], payload: bytes, epoch: int) -> M:
+    """The message in this payload.
+
+    Raises:
+        Rejected: oversized, malformed, version, epoch, out-of-range (the first of these that holds).
+    """
+    if len(payload) > MAX_BYTES:
+        raise Rejected("oversized", f"{len(payload)} bytes, at most {MAX_BYTES} are allowed")
+    decoder = _decoders.get(kind)
+    if decoder is None:
+        decoder = _decoders[kind] = msgspec.msgpack.Decoder(kind)
+    try:
+        message: M = decoder.decode(payload)
+    except (msgspec.ValidationError, msgspec.DecodeError, RecursionError) as error:
+        reason = "version" if _other_version(payload) else "malformed"
+        raise Rejected(reason, str(error)) from None
+    if message.version != VERSION:
+        raise Rejected("version", f"{message.version}, this program speaks {VERSION}")
+    if message.epoch != epoch:
+        raise Rejected("epoch", f"{message.epoch}, this run is {epoch}")
+    if not (0 <= message.sender < 256 and 0 <= message.seq < 2**63 and abs(message.stamp_ns) < 2**62):
+        raise Rejected("malformed", f"sender {message.sender}, seq {message.seq} or stamp {message.stamp_ns} ns")
+    return message
+
+
+_encoder = msgspec.msgpack.Encoder()
+_decoders: dict[type[Header], msgspec.msgpack.Decoder[Header]] = {}  # type: ignore[type-arg]
+
+
+def _other_version(payload: bytes) -> bool:
+    """Whether an undecodable payload at least says that it is of another version: array header, then an integer."""
+    return len(payload) > 1 and 0x90 <= payload[0] <= 0x9F and payload[1] < 0x80 and payload[1] != VERSION
+
+
+def _expect_floats(
+    name: str, block: bytes, count: int | None, *, multiple: int = 1, dtype: str = "<f8", limit: float
+) -> None:
+    size = np.dtype(dtype).itemsize
+    if (count is not None and len(block) != size * count) or len(block) % (size * multiple):
+        raise ValueError(f"{name}: {len(block)} bytes, expected {count or f'a multiple of {multiple}'} numbers")
+    values = np.frombuffer(block, dtype)
+    if not (np.abs(values) < limit).all():
+        raise ValueError(f"non-finite or out of range: {name}")
+
+
+def _expect_spherical(block: bytes) -> None:
+    if len(block) % 12 or len(block) > 12 * MAX_DETECTIONS:
+        raise ValueError(f"spherical: {len(block)} bytes, expected up to {MAX_DETECTIONS} times 3 float32")
+    values = np.frombuffer(block, "<f4").reshape(-1, 3)
+    if not ((np.abs(values) < (1e4, 6.3, 1.6)).all() and (values[:, :1] > 0).all()):
+        raise ValueError("non-finite or out of range: spherical")

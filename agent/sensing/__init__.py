@@ -1,0 +1,1 @@
+"""What the agent makes of what it receives: own sensors, peers, and who they are."""

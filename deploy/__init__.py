@@ -1,0 +1,1 @@
+"""Launch, disturb, record and measure a swarm."""

@@ -1,0 +1,1 @@
+"""Physics, sensing and simulated time: all that a real flight would bring by itself."""
