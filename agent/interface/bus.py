@@ -7,7 +7,7 @@ and never holds up a publisher.
 
 import json
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol, Self
 
@@ -81,10 +81,8 @@ class ZenohBus:
 
     def subscribe(self, pattern: str) -> "ZenohInbox":
         handlers = zenoh.handlers
-        handler = handlers.FifoChannel(CAPACITY) if self.network.lossless else handlers.RingChannel(CAPACITY)
-        return ZenohInbox(
-            self._session.declare_subscriber(pattern, handler, allowed_origin=zenoh.Locality.REMOTE)
-        )
+        handler: Any = handlers.FifoChannel(CAPACITY) if self.network.lossless else handlers.RingChannel(CAPACITY)
+        return ZenohInbox(self._session.declare_subscriber(pattern, handler, allowed_origin=zenoh.Locality.REMOTE))
 
     def announce(self, key: str) -> None:
         """Declares a liveliness token: it vanishes with this process, however it ends."""
@@ -111,7 +109,7 @@ class ZenohBus:
                     clock.sleep_until(clock.now_s() + 0.01)
 
     def close(self) -> None:
-        self._session.close()
+        self._session.close()  # type: ignore[no-untyped-call]
 
     def __enter__(self) -> Self:
         return self
@@ -125,7 +123,7 @@ class ZenohInbox:
         self._subscriber = subscriber
 
     def drain(self) -> list[Packet]:
-        packets = []
+        packets: list[Packet] = []
         # At most one capacity: a peer that floods must not keep the loop here.
         while len(packets) < CAPACITY and (sample := self._subscriber.try_recv()) is not None:
             packets.append(Packet(str(sample.key_expr), sample.payload.to_bytes()))
@@ -229,6 +227,3 @@ def _config(network: Network) -> zenoh.Config:
     for path, value in settings.items():
         config.insert_json5(path, json.dumps(value))
     return config
-
-
-Publish = Callable[[str, bytes], None]

@@ -20,9 +20,11 @@ def wrap(angle: Array | float) -> Array:
 def rotate_z(yaw: Array | float, vectors: Array) -> Array:
     """Rz(yaw) @ v for vectors (..., 3) and yaws in rad that broadcast against (...)."""
     c, s = np.cos(yaw), np.sin(yaw)
-    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    x, y = vectors[..., 0], vectors[..., 1]
     turned_x = c * x - s * y
-    return np.stack([turned_x, s * x + c * y, np.broadcast_to(z, turned_x.shape)], axis=-1)
+    turned = np.empty((*turned_x.shape, 3))
+    turned[..., 0], turned[..., 1], turned[..., 2] = turned_x, s * x + c * y, vectors[..., 2]
+    return turned
 
 
 def yaw_of(quaternion: Array) -> Array:
@@ -44,9 +46,7 @@ def rotation_matrix(quaternion: Array) -> Array:
 
 def relative_pose(pose_frame_station: Array, pose_frame_target: Array) -> Array:
     """Poses (..., 4) [x y z yaw] of targets in the body frame of stations, both given in one frame."""
-    p_station_target = rotate_z(
-        -pose_frame_station[..., 3], pose_frame_target[..., :3] - pose_frame_station[..., :3]
-    )
+    p_station_target = rotate_z(-pose_frame_station[..., 3], pose_frame_target[..., :3] - pose_frame_station[..., :3])
     yaw = wrap(pose_frame_target[..., 3] - pose_frame_station[..., 3])
     return np.concatenate([p_station_target, yaw[..., None]], axis=-1)
 
@@ -66,12 +66,16 @@ def inverse(pose_a_b: Array) -> Array:
 def direction(azimuth: Array, elevation: Array) -> Array:
     """Unit vectors (..., 3) of bearings in rad: azimuth from x towards y, elevation up from the xy plane."""
     cos_elevation = np.cos(elevation)
-    return np.stack(
-        [cos_elevation * np.cos(azimuth), cos_elevation * np.sin(azimuth), np.sin(elevation)], axis=-1
-    )
+    unit = np.empty((*cos_elevation.shape, 3))
+    unit[..., 0], unit[..., 1] = cos_elevation * np.cos(azimuth), cos_elevation * np.sin(azimuth)
+    unit[..., 2] = np.sin(elevation)
+    return unit
 
 
 def range_and_bearing(vectors: Array) -> Array:
     """Vectors (..., 3) in m as (..., 3) [range m, azimuth rad, elevation rad]."""
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
-    return np.stack([np.sqrt(x * x + y * y + z * z), np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))], axis=-1)
+    spherical = np.empty(vectors.shape)
+    level = np.hypot(x, y)
+    spherical[..., 0], spherical[..., 1], spherical[..., 2] = np.hypot(level, z), np.arctan2(y, x), np.arctan2(z, level)
+    return spherical

@@ -5,7 +5,7 @@ binary (float64 unless said), because a third of a message would otherwise be ty
 boundary: what it returns is of the right version, run, size and shape, finite and within its physical range.
 """
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -211,7 +211,7 @@ def decode(kind: type[M], payload: bytes, epoch: int) -> M:
 
 
 _encoder = msgspec.msgpack.Encoder()
-_decoders: dict[type[Header], msgspec.msgpack.Decoder[Header]] = {}  # type: ignore[type-arg]
+_decoders: dict[type[Header], msgspec.msgpack.Decoder[Any]] = {}
 
 
 def _other_version(payload: bytes) -> bool:

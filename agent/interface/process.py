@@ -12,6 +12,8 @@ import tomllib
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
+import msgspec
+
 from agent.interface.bus import Network, ZenohBus
 from agent.interface.fleet import Fleet
 from agent.interface.tables import BadExperiment, parse_table
@@ -47,7 +49,7 @@ def arguments(program: str) -> Start:
     fleet = parse_table(Fleet, experiment["fleet"], "fleet")
     place = json.loads(chosen.network.read_text())
     everyone = tuple(place.pop("everyone"))
-    network = Network(**{key: tuple(value) if isinstance(value, list) else value for key, value in place.items()})
+    network = msgspec.convert(place, Network)
     if chosen.mav not in (0, *fleet.ids):
         raise BadExperiment(f"--mav {chosen.mav}: expected 1 to {fleet.mavs}")
     return Start(experiment, fleet, network, everyone, chosen.epoch, chosen.mav)

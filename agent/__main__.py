@@ -1,0 +1,33 @@
+"""`python -m agent`: one MAV as a process."""
+
+import logging
+import sys
+
+from agent import config
+from agent.agent import Agent
+from agent.interface import process
+from agent.interface.bus import BusError, ZenohBus
+from agent.interface.tables import BadExperiment
+
+
+def main() -> int:
+    process.stop_on_signals()
+    try:
+        start = process.arguments("agent")
+        chosen = config.parse(start.experiment["agent"])
+    except BadExperiment as error:
+        print(f"agent: {error}", file=sys.stderr)
+        return 2
+    try:
+        with ZenohBus(start.network) as bus:
+            agent = Agent(chosen, start.fleet, start.mav, start.epoch, bus)
+            process.meet(bus, start.everyone, start.epoch)
+            agent.run()
+    except BusError as error:
+        logging.getLogger("agent").error("%s", error)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,179 @@
+"""What does an agent do all day? It senses, shares, waits for its peers, estimates, commands.
+
+A tick opens with the MAV's own VIO reading and detection set, which are sent to the peers as they are (raw data, never
+estimates, so nothing is counted twice). It closes when every peer's data of the same time is here: in lockstep however
+long that takes, in real time after a short wait.
+"""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from agent.config import AgentConfig
+from agent.controller.hold import Hold
+from agent.estimator.estimator import Beliefs, Estimator
+from agent.interface import clock, messages, topics
+from agent.interface.bus import Bus, Packet
+from agent.interface.fleet import Fleet
+from agent.interface.frames import Array
+from agent.interface.topics import Topic
+from agent.sensing import detections, vio
+from agent.sensing.inbox import Inbox
+from agent.sensing.neighbours import Neighbours
+
+_UPPER = np.triu_indices(4)
+
+
+class Agent:
+    """MAV `mav` of the fleet on this bus: `run` it, or `advance` it from outside."""
+
+    def __init__(self, config: AgentConfig, fleet: Fleet, mav: int, epoch: int, bus: Bus) -> None:
+        self._fleet, self._mav, self._epoch, self._bus = fleet, mav, epoch, bus
+        self._patience_s = config.wait_for_peers_s if fleet.realtime else None
+        self._estimator = Estimator(config, fleet, mav)
+        self._controller = Hold()
+        self._inbox = Inbox(mav, fleet.mavs, epoch)
+        self._neighbours = Neighbours(fleet.mavs)
+        self._stations = [mav, *(other for other in fleet.ids if other != mav)]  # itself first
+        self._vio: dict[int, vio.Levelled] = {}  # by stamp
+        self._sightings: dict[int, messages.Sightings] = {}
+        self._open_ns: int | None = None  # the tick that waits for peers
+        self._deadline_s = 0.0
+        self._ended_ns: int | None = None
+        self.done = False
+        self._seq: dict[Topic, int] = {}
+        self._sent = self._sent_bytes = 0
+        self._sensors = bus.subscribe(f"sensor/{mav}/*")
+        self._air = bus.subscribe("air/*/*")
+
+    def run(self) -> None:
+        """Flies until the end of the run is announced."""
+        while not self.done:
+            self.advance()
+            if self.done:
+                return
+            if self._open_ns is None:
+                self._receive(self._sensors.wait(None))
+            elif self._patience_s is None:
+                self._receive(self._air.wait(None))
+            else:
+                self._receive(self._air.wait(max(0.0, self._deadline_s - clock.now_s())))
+
+    def advance(self) -> None:
+        """Takes in what has arrived and does all that can be done now."""
+        self._receive(self._sensors.drain())
+        self._receive(self._air.drain())
+        while self._open_next() or self._close():
+            pass
+        if self._open_ns is None and self._ended_ns is not None and not self.done:
+            self._publish_status(self._ended_ns, 0, (), final=True)
+            self.done = True
+
+    def _receive(self, packets: Iterable[Packet]) -> None:
+        for packet in packets:
+            received = self._inbox.read(packet)
+            if received is None:
+                continue
+            message = received.message
+            match message:
+                case messages.Odometry():
+                    self._neighbours.put(message.stamp_ns, received.mav, odometry=messages.floats(message.pose))
+                case messages.Detections():
+                    spherical = messages.read_spherical(message.spherical)
+                    self._neighbours.put(message.stamp_ns, received.mav, detections=spherical)
+                case messages.Vio():
+                    self._vio[message.stamp_ns] = vio.read(message)
+                case messages.Sightings():
+                    self._sightings[message.stamp_ns] = message
+                case messages.Survey():
+                    frames = messages.floats(message.poses).reshape(-1, 4)
+                    self._estimator.start(frames, message.position_sigma_m, message.yaw_sigma_rad)
+                case messages.End():
+                    self._ended_ns = message.stamp_ns
+
+    def _open_next(self) -> bool:
+        """Begins the oldest tick whose VIO reading and detection set are both here, and shares them."""
+        if self._open_ns is not None:
+            return False
+        stamp_ns = min(self._vio.keys() & self._sightings.keys(), default=None)
+        if stamp_ns is None:
+            return False
+        levelled = self._vio[stamp_ns]
+        spherical = detections.levelled(self._sightings[stamp_ns], levelled.tilt)
+        self._vio = {stamp: kept for stamp, kept in self._vio.items() if stamp > stamp_ns}
+        self._sightings = {stamp: kept for stamp, kept in self._sightings.items() if stamp > stamp_ns}
+        block = messages.spherical_block(spherical)
+        self._publish(topics.ODOMETRY, messages.Odometry, stamp_ns, levelled.pose.tobytes())
+        self._publish(topics.DETECTIONS, messages.Detections, stamp_ns, block)
+        # Its own data as its peers receive it, so that all agents estimate from the same numbers.
+        self._neighbours.put(stamp_ns, self._mav, odometry=levelled.pose, detections=messages.read_spherical(block))
+        self._open_ns = stamp_ns
+        self._deadline_s = clock.now_s() + (self._patience_s or 0.0)
+        return True
+
+    def _close(self) -> bool:
+        """Estimates the open tick if its data is complete, or its time is up."""
+        stamp_ns = self._open_ns
+        if stamp_ns is None:
+            return False
+        if not self._neighbours.complete(stamp_ns) and (self._patience_s is None or clock.now_s() < self._deadline_s):
+            return False
+        self._open_ns = None
+        tick = self._neighbours.take(stamp_ns)
+        began_us = clock.now_us()
+        self._estimator.predict(tick.odometry)
+        station_us = []
+        for station in self._stations:
+            if station in tick.detections and station in tick.odometry:
+                station_began_us = clock.now_us()
+                self._estimator.associate(station, tick.detections[station])
+                station_us.append(clock.now_us() - station_began_us)
+        beliefs = self._estimator.finish()
+        tick_us = clock.now_us() - began_us
+        self._publish_estimate(stamp_ns, beliefs)
+        self._publish_status(stamp_ns, tick_us, tuple(station_us))
+        self._publish_command(stamp_ns, tick.odometry[self._mav])
+        return True
+
+    def _publish_estimate(self, stamp_ns: int, beliefs: Beliefs) -> None:
+        covariances = beliefs.covariances[:, _UPPER[0], _UPPER[1]].astype("<f4")
+        self._publish(
+            topics.ESTIMATE,
+            messages.Estimate,
+            stamp_ns,
+            beliefs.states.tobytes(),
+            beliefs.poses.tobytes(),
+            covariances.tobytes(),
+            beliefs.innovations,
+            beliefs.innovations_inside,
+        )
+
+    def _publish_command(self, stamp_ns: int, odometry: Array) -> None:
+        pose = self._controller.setpoint(odometry)
+        still = bytes(24)
+        self._publish(topics.COMMAND, messages.Setpoint, stamp_ns, pose[:3].tobytes(), still, still, float(pose[3]))
+
+    def _publish_status(self, stamp_ns: int, tick_us: int, station_us: tuple[int, ...], final: bool = False) -> None:
+        inbox, neighbours = self._inbox, self._neighbours
+        self._publish(
+            topics.STATUS,
+            messages.Status,
+            stamp_ns,
+            self._sent + 1,  # this one included
+            self._sent_bytes,
+            inbox.received,
+            inbox.rejected,
+            neighbours.late,
+            neighbours.duplicate,
+            tick_us,
+            station_us,
+            final,
+        )
+
+    def _publish(self, topic: Topic, kind: type[messages.Header], stamp_ns: int, *fields: object) -> None:
+        seq = self._seq.get(topic, 0)
+        self._seq[topic] = seq + 1
+        payload = messages.encode(kind(messages.VERSION, self._epoch, self._mav, seq, stamp_ns, *fields))
+        self._bus.publish(topics.key(topic, self._mav), payload)
+        self._sent += 1
+        self._sent_bytes += len(payload)

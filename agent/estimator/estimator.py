@@ -1,0 +1,175 @@
+"""Where is everybody? One agent's copy of the coupled filter: predict, associate set by set, finish.
+
+The estimator knows no sockets and no clock. A tick is
+
+    predict(odometry)               every MAV's odometry reading of this tick (those that are there)
+    associate(station, detections)  once per detection set, in a fixed order: own first, then by id
+    finish()                        what is believed now
+
+Detection sets update the poses (y, Sigma) one after the other, as the paper iterates over its stations; `finish` lifts
+the result to the full state.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import lapack
+
+from agent.config import AgentConfig
+from agent.estimator import cpdaf, detection_model, odometry_model
+from agent.estimator.gating import chi_square_quantile
+from agent.estimator.moments import DetectionGeometry, PoseMoments, detection_moments, pose_moments
+from agent.estimator.prediction import predict
+from agent.estimator.small_matrices import diagonal_index
+from agent.estimator.state import Poses, State, from_frames
+from agent.interface.fleet import Fleet
+from agent.interface.frames import Array, rotate_z, wrap
+from agent.interface.messages import LOCALISED, SEARCHING
+
+COASTING_SIGMA = (0.5, 0.5)  # m/s per axis and rad/s: how far a MAV may stray from its last velocity while unheard
+
+
+class Beliefs(NamedTuple):
+    """What the station believes of every MAV, in the station's odometry frame."""
+
+    states: npt.NDArray[np.uint8]  # (N,) index into messages.STATES
+    poses: Array  # (N, 4) x y z m, yaw rad
+    covariances: Array  # (N, 4, 4)
+    innovations: int  # of detections associated this tick
+    innovations_inside: int  # how many lie inside their own 95 % gate
+    lost_mass: float  # largest share of hypothesis weight left out in one set
+
+
+class Estimator:
+    def __init__(self, config: AgentConfig, fleet: Fleet, station: int) -> None:
+        """For the MAV `station`, 1..N; localises nobody before `start`."""
+        self._config, self._fleet, self._station = config, fleet, station
+        f = config.filter
+        self._sigma_odometry = (f.odometry_sigma_m, f.odometry_sigma_rad)
+        self._sigma_drift = (config.odometry.position_sigma_m, config.odometry.yaw_sigma_rad)
+        self._rules = cpdaf.Rules(
+            chi_square_quantile(f.P_G, 3) if f.gating else np.inf, f.hypothesis_evaluation, f.pruned_mass
+        )
+        self._gate_95 = chi_square_quantile(0.95, 3)
+        self._geometry = [DetectionGeometry(fleet.mavs, s) for s in fleet.ids]
+        self._prior: tuple[Array, tuple[float, float]] | None = None
+        self._state: State | None = None
+        self._odometry = np.full((fleet.mavs, 4), np.nan)  # the last reading of every MAV
+        self._increments = np.zeros((fleet.mavs, 4))
+        self._begin_tick()
+
+    def _begin_tick(self) -> None:
+        self._innovations = self._inside = 0
+        self._lost_mass = 0.0
+
+    def start(self, frames: Array, position_sigma_m: float, yaw_sigma_rad: float) -> None:
+        """Begins from a rough knowledge of all odometry frames (N, 4) in the station's own, at the next `predict`."""
+        self._prior = (frames, (position_sigma_m, yaw_sigma_rad))
+
+    def predict(self, odometry: dict[int, Array]) -> None:
+        """Moves the belief to this tick: readings (4,) x y z m, yaw rad in each MAV's odometry frame, by MAV."""
+        self._begin_tick()
+        z = np.full((self._fleet.mavs, 4), np.nan)
+        for mav, reading in odometry.items():
+            z[mav - 1] = reading
+        if self._state is None:
+            self._begin(z)
+            return
+        self._state = self._moved(self._state, z)
+        self._take_moments()
+
+    def _begin(self, z: Array) -> None:
+        """The first tick for which every reading is there makes the state."""
+        if self._prior is not None and np.isfinite(z).all():
+            self._odometry = z
+            self._state = from_frames(self._prior[0], z, self._station, self._prior[1], self._sigma_odometry)
+            self._take_moments()
+
+    def _moved(self, state: State, z: Array) -> State:
+        present = np.isfinite(z[:, 3])
+        increments = z - self._odometry
+        increments[:, 3] = wrap(increments[:, 3])
+        # An unheard MAV goes on as it last did; what it did instead is known again with its next reading.
+        input_sigma = np.multiply(np.sqrt(2.0), np.tile(self._sigma_odometry, (len(z), 1)))
+        if not present.all():
+            increments[~present] = self._increments[~present]
+            input_sigma[~present] = np.divide(COASTING_SIGMA, self._fleet.rate_hz)
+        self._increments = increments
+        self._odometry = self._odometry + increments
+        state = predict(state, increments, input_sigma, self._sigma_drift)
+        return odometry_model.update(state, z, self._sigma_odometry)
+
+    def _take_moments(self) -> None:
+        assert self._state is not None
+        self._before: PoseMoments = pose_moments(self._state)
+        self._poses: Poses = self._before.poses
+        by_mav = self._poses.by_mav
+        lines = by_mav[None, :, :3] - by_mav[:, None, :3]
+        detector = self._config.detector
+        self._R = detection_model.noise_covariance(detector, lines)  # (N, N, 3, 3) [station, target]
+        self._P_D = detection_model.detection_probability(detector, lines, by_mav[:, None, 3])  # (N, N)
+
+    def associate(self, station: int, spherical: Array, labels: npt.NDArray[np.intp] | None = None) -> None:
+        """Updates with one detection set.
+
+        Args:
+            station: whose set it is, 1..N.
+            spherical: (M, 3) range m, azimuth rad, elevation rad in the station's gravity-aligned body frame.
+            labels: (M,) for a filter that is told the truth: the MAV that each detection is of, 0 if it is false.
+        """
+        if self._state is None or not len(spherical) or self._fleet.mavs == 1:
+            return
+        geometry = self._geometry[station - 1]
+        targets = geometry.targets
+        moments = detection_moments(self._poses, geometry)
+        L = len(targets)
+        S = moments.P_zz
+        S.ravel()[diagonal_index(L)] += self._R[station - 1, targets].reshape(L, 9)
+        z = rotate_z(self._poses.y[geometry.yaw_row], detection_model.cartesian(spherical))
+        innovations = z - moments.z_hat[:, None]
+        if labels is None:
+            P_D = self._P_D[station - 1, targets]
+            found = cpdaf.associate(S, innovations, P_D, self._config.detector.clutter_density, self._rules)
+        else:
+            index = np.where(labels > 0, np.searchsorted(targets, labels - 1), -1)
+            found = cpdaf.told(S, innovations, index)
+        if len(found.rows):
+            P_yz = moments.P_yz[:, found.rows]
+            self._poses = Poses(self._poses.y + P_yz @ found.g, self._poses.Sigma - P_yz @ found.W @ P_yz.T)
+        self._innovations += len(found.distances)
+        self._inside += int((found.distances <= self._gate_95).sum())
+        self._lost_mass = max(self._lost_mass, found.lost_mass)
+
+    def finish(self) -> Beliefs:
+        """Lifts the tick's pose updates to the state; what is believed now."""
+        mavs, own = self._fleet.mavs, self._station - 1
+        if self._state is None:
+            poses, covariances = np.zeros((mavs, 4)), np.tile(np.eye(4) * 1e6, (mavs, 1, 1))
+            states = np.full(mavs, SEARCHING, np.uint8)
+            states[own] = LOCALISED
+            return Beliefs(states, poses, covariances, 0, 0, 0.0)
+        if self._poses is not self._before.poses:
+            self._state = _lifted(self._state, self._before, self._poses)
+        poses = self._poses.by_mav.copy()
+        poses[:, 3] = wrap(poses[:, 3])
+        every = np.arange(mavs)
+        covariances = self._poses.Sigma.reshape(mavs, 4, mavs, 4)[every, :, every, :]
+        variances = covariances[:, range(4), range(4)]
+        known = (variances[:, :3].max(1) < self._config.localised_sigma_m**2) & (
+            variances[:, 3] < self._config.localised_sigma_rad**2
+        )
+        states = np.where(known, LOCALISED, SEARCHING).astype(np.uint8)
+        states[own] = LOCALISED
+        return Beliefs(states, poses, covariances, self._innovations, self._inside, self._lost_mass)
+
+
+def _lifted(state: State, before: PoseMoments, after: Poses) -> State:
+    """The state given what the tick's detections changed in the poses: exact for jointly Gaussian (x, y)."""
+    Sigma = before.poses.Sigma
+    factor, info = lapack.dpotrf(Sigma, lower=1, clean=1)
+    assert info == 0, "the covariance of the poses is not positive definite"
+    Gt, _ = lapack.dpotrs(factor, before.P_xy.T, lower=1)
+    x = state.x + (after.y - before.poses.y) @ Gt
+    P = state.P - Gt.T @ (Sigma - after.Sigma) @ Gt
+    return State(x, (P + P.T) / 2, state.station)

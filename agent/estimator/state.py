@@ -1,0 +1,102 @@
+"""What is estimated, and where in the arrays is it?
+
+Per MAV i, 8 numbers in the common frame, which is the odometry frame f_s of the MAV s that estimates:
+
+    x_i = [ p_odom_body (3) | psi_common_body | p_common_odom (3) | psi_common_odom ]
+
+(the paper, Sec. IV-A; its "7N" is a slip: 3 + 1 + 3 + 1). The gauge is pinned: the frame entries of s itself are
+zero, with zero variance. Detections depend on the 4 numbers of every MAV's pose in the common frame only,
+
+    y_i = [ p_common_body (3) | psi_common_body ],     p_common_body = Rz(psi_common_odom) p_odom_body + p_common_odom
+
+so all station updates of a tick are done on (y, Sigma), and lifted to (x, P) once: for a Gaussian that is exact, up
+to the linearisation of y(x), which is then made once a tick (and by exact moments while yaws are uncertain).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.interface.frames import Array, rotate_z
+
+P_ODOM, PSI, P_FRAME, PSI_FRAME = slice(0, 3), 3, slice(4, 7), 7  # of the 8 entries of one MAV
+
+
+@dataclass
+class State:
+    """Mean x (8N,) and covariance P (8N, 8N), m and rad, of MAVs 1..N seen by MAV `station` (index station - 1)."""
+
+    x: Array
+    P: Array
+    station: int
+
+    @property
+    def mavs(self) -> int:
+        return len(self.x) // 8
+
+    @property
+    def by_mav(self) -> Array:
+        """A view of x, (N, 8)."""
+        return self.x.reshape(-1, 8)
+
+
+@dataclass
+class Poses:
+    """Mean y (4N,) and covariance Sigma (4N, 4N) of all current poses in the common frame."""
+
+    y: Array
+    Sigma: Array
+
+    @property
+    def by_mav(self) -> Array:
+        """A view of y, (N, 4)."""
+        return self.y.reshape(-1, 4)
+
+
+def from_frames(
+    frames: Array, odometry: Array, station: int, sigma_frames: tuple[float, float], sigma_odometry: tuple[float, float]
+) -> State:
+    """The state that a prior on the odometry frames makes.
+
+    Args:
+        frames: (N, 4) x y z m, yaw rad of every odometry frame in the common frame.
+        odometry: (N, 4) the odometry readings for which the state is wanted.
+        station: 1..N.
+        sigma_frames: standard deviation of a frame's position (per axis, m) and yaw (rad).
+        sigma_odometry: the same of an odometry reading.
+    """
+    mavs, own = len(frames), station - 1
+    x = np.zeros((mavs, 8))
+    x[:, P_ODOM] = odometry[:, :3]
+    x[:, P_FRAME] = frames[:, :3]
+    x[:, PSI_FRAME] = frames[:, 3]
+    x[:, PSI] = frames[:, 3] + odometry[:, 3]
+    P = np.zeros((mavs, 8, mavs, 8))
+    for i in range(mavs):
+        P[i, :, i, :] = np.diag([sigma_odometry[0] ** 2] * 3 + [0.0] + [sigma_frames[0] ** 2] * 3 + [0.0])
+        for a, b in ((PSI, PSI), (PSI, PSI_FRAME), (PSI_FRAME, PSI), (PSI_FRAME, PSI_FRAME)):
+            P[i, a, i, b] = sigma_frames[1] ** 2  # the body turns with its frame
+        P[i, PSI, i, PSI] += sigma_odometry[1] ** 2
+    P[own, PSI, own, PSI] = sigma_odometry[1] ** 2
+    for pinned in (PSI_FRAME, P_FRAME):
+        x[own, pinned] = 0.0
+        P[own, pinned] = 0.0
+        P[:, :, own, pinned] = 0.0
+    x[own, PSI] = odometry[own, 3]
+    return State(x.ravel(), P.reshape(8 * mavs, 8 * mavs), station)
+
+
+def poses_jacobian(state: State) -> Array:
+    """B (4N, 8N) = dy/dx at the mean."""
+    mavs, s = state.mavs, state.by_mav
+    turned = rotate_z(s[:, PSI_FRAME], s[:, P_ODOM])
+    c, sn = np.cos(s[:, PSI_FRAME]), np.sin(s[:, PSI_FRAME])
+    blocks = np.zeros((mavs, 4, 8))
+    blocks[:, 0, 0], blocks[:, 0, 1], blocks[:, 0, PSI_FRAME] = c, -sn, -turned[:, 1]
+    blocks[:, 1, 0], blocks[:, 1, 1], blocks[:, 1, PSI_FRAME] = sn, c, turned[:, 0]
+    blocks[:, 2, 2] = 1.0
+    blocks[:, (0, 1, 2), (4, 5, 6)] = 1.0
+    blocks[:, 3, PSI] = 1.0
+    B = np.zeros((mavs, 4, mavs, 8))
+    B[range(mavs), :, range(mavs), :] = blocks
+    return B.reshape(4 * mavs, 8 * mavs)
