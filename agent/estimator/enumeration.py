@@ -71,5 +71,5 @@ def enumerate_all(
 @lru_cache(maxsize=32)
 def _choices(M: int, D: int) -> npt.NDArray[np.intp]:
     """All ordered choices (n, D) of D of M detections."""
-    rows = np.array(list(permutations(range(M), D)), dtype=np.intp)
-    return rows.reshape(-1, D)
+    rows = list(permutations(range(M), D))
+    return np.array(rows, dtype=np.intp).reshape(len(rows), D)

@@ -55,7 +55,7 @@ class Estimator:
         self._geometry = [DetectionGeometry(fleet.mavs, s) for s in fleet.ids]
         self._prior: tuple[Array, tuple[float, float]] | None = None
         self._state: State | None = None
-        self._odometry = np.full((fleet.mavs, 4), np.nan)  # the last reading of every MAV
+        self._readings = np.full((fleet.mavs, 4), np.nan)  # the last tick's odometry
         self._increments = np.zeros((fleet.mavs, 4))
         self._begin_tick()
 
@@ -82,21 +82,21 @@ class Estimator:
     def _begin(self, z: Array) -> None:
         """The first tick for which every reading is there makes the state."""
         if self._prior is not None and np.isfinite(z).all():
-            self._odometry = z
+            self._readings = z
             self._state = from_frames(self._prior[0], z, self._station, self._prior[1], self._sigma_odometry)
             self._take_moments()
 
     def _moved(self, state: State, z: Array) -> State:
-        present = np.isfinite(z[:, 3])
-        increments = z - self._odometry
+        increments = z - self._readings
         increments[:, 3] = wrap(increments[:, 3])
-        # An unheard MAV goes on as it last did; what it did instead is known again with its next reading.
         input_sigma = np.multiply(np.sqrt(2.0), np.tile(self._sigma_odometry, (len(z), 1)))
-        if not present.all():
-            increments[~present] = self._increments[~present]
-            input_sigma[~present] = np.divide(COASTING_SIGMA, self._fleet.rate_hz)
-        self._increments = increments
-        self._odometry = self._odometry + increments
+        # An increment takes two readings in a row. Without them a MAV goes on as it last did; where that took it is
+        # for the reading that ends the silence, and for detections, to say.
+        unheard = ~np.isfinite(increments[:, 3])
+        if unheard.any():
+            increments[unheard] = self._increments[unheard]
+            input_sigma[unheard] = np.divide(COASTING_SIGMA, self._fleet.rate_hz)
+        self._readings, self._increments = z, increments
         state = predict(state, increments, input_sigma, self._sigma_drift)
         return odometry_model.update(state, z, self._sigma_odometry)
 
