@@ -20,33 +20,61 @@ def frames_in(truth, station):
     return relative_pose(np.tile(truth[station - 1], (len(truth), 1)), truth)
 
 
-def circling(rng, mavs, ticks, far_m=0.0, detector=None, odometry=None, rate_hz=10.0):
+def circling(rng, mavs, ticks, far_m=0.0, **sensors):
     """Yields ticks of a circle that breathes between 1.35 and 2.7 m, while it travels `far_m` in the first 5 s."""
-    detector, odometry = detector or Detector(), odometry or Odometry()
     angle = 2 * np.pi * np.arange(mavs) / mavs
+    scale = max(1, mavs / 7)
+
+    def places(t):
+        radius = scale * (1.35 + 0.675 * (1 - np.cos(2 * np.pi * t / 24)))
+        centre = far_m * min(1.0, t / 5)
+        return np.column_stack([centre + radius * np.cos(angle), radius * np.sin(angle), np.full(mavs, 1.5)])
+
+    return fly(rng, mavs, ticks, places, **sensors)
+
+
+def in_line(rng, mavs, ticks, **sensors):
+    """Yields ticks of a line that breathes between 6 and 12 m: targets stand behind one another."""
+    along = np.arange(mavs) / (mavs - 1) - 0.5
+    scale = max(1, mavs / 7)
+
+    def places(t):
+        length = scale * (6 + 3 * (1 - np.cos(2 * np.pi * t / 24)))
+        return np.column_stack([length * along, np.zeros(mavs), np.full(mavs, 1.5)])
+
+    return fly(rng, mavs, ticks, places, **sensors)
+
+
+PATHS = {"circle": circling, "line": in_line}
+
+
+def fly(rng, mavs, ticks, places, detector=None, odometry=None, rate_hz=10.0):
+    """Yields ticks of MAVs that are at `places(t)` (N, 3), with constant random yaws."""
+    detector, odometry = detector or Detector(), odometry or Odometry()
     yaw = rng.uniform(-np.pi, np.pi, mavs)
     readings = np.zeros((mavs, 4))
     before = None
     for k in range(ticks):
-        t = k / rate_hz
-        radius = max(1, mavs / 7) * (1.35 + 0.675 * (1 - np.cos(2 * np.pi * t / 24)))
-        centre = far_m * min(1.0, t / 5)
-        truth = np.column_stack([centre + radius * np.cos(angle), radius * np.sin(angle), np.full(mavs, 1.5), yaw])
+        truth = np.column_stack([places(k / rate_hz), yaw])
         if before is not None:
             noise = np.column_stack(
                 [rng.normal(0, odometry.position_sigma_m, (mavs, 3)), rng.normal(0, odometry.yaw_sigma_rad, mavs)]
             )
             readings = compose(readings, relative_pose(before, truth) + noise)
         before = truth
-        sets, labels = {}, {}
-        for i in range(mavs):
-            sets[i + 1], labels[i + 1] = detect(rng, truth, i, detector)
-        yield Tick(truth, {i + 1: readings[i] for i in range(mavs)}, sets, labels)
+        seen = [detect(rng, truth, i, detector) for i in range(mavs)]
+        yield Tick(
+            truth,
+            {i + 1: readings[i] for i in range(mavs)},
+            {i + 1: spherical for i, (spherical, _) in enumerate(seen)},
+            {i + 1: labels for i, (_, labels) in enumerate(seen)},
+        )
 
 
 def detect(rng, truth, i, detector):
     lines = rotate_z(-truth[i, 3], truth[:, :3] - truth[i, :3])
     seen = [j for j in range(len(truth)) if j != i and rng.random() < detector.P_D]
+    seen = [j for j in seen if np.linalg.norm(lines[j]) < detector.max_range_m]
     spherical = range_and_bearing(lines[seen])
     n = len(seen)
     spherical[:, 0] += rng.normal(0, 1, n) * detector.range_sigma_m(spherical[:, 0])

@@ -30,6 +30,7 @@ from agent.estimator.hypotheses import (
     LOG_2PI_3_2,
     MISSED,
     Assignments,
+    Hypotheses,
     candidates_of,
     combinations,
     every_hypothesis,
@@ -205,10 +206,10 @@ def _given_certain(
     candidates = candidates_of(inside[uncertain])
     log_lost = -np.inf
     if combinations(candidates) <= FEW:
-        assigned = every_hypothesis(candidates)
+        hypotheses = every_hypothesis(candidates)
     else:
-        assigned, log_lost = grow_tree(candidates, S_uu, nu, seen, clutter, rules.pruned_mass)
-    m = weigh(assigned, S_uu, nu, seen, clutter)
+        hypotheses, log_lost = grow_tree(candidates, S_uu, nu, seen, clutter, rules.pruned_mass)
+    m = weigh(hypotheses, S_uu, nu, seen, clutter)
     lost = certain.lost + float(np.exp(min(log_lost - m.log_total, 0.0)))
 
     A, c = certain.A, len(certain.rows)
@@ -232,35 +233,33 @@ class Weighed(NamedTuple):
     best: Assignments  # (L,) the heaviest hypothesis
 
 
-def weigh(assigned: Assignments, S: Array, innovations: Array, P_D: Array, clutter: float) -> Weighed:
-    """Exact weights of the given hypotheses (H, L), and their moments in measurement space.
-
-    Rows that detect the same targets must adjoin: they share the inverse of S(phi).
-    """
+def weigh(hypotheses: Hypotheses, S: Array, innovations: Array, P_D: Array, clutter: float) -> Weighed:
+    """Exact weights of the given hypotheses, and their moments in measurement space; a group shares S(phi)^-1."""
+    assigned, detected, starts, counts, both, neither = hypotheses
     L = len(P_D)
-    detected = assigned != MISSED
-    padded = np.concatenate([innovations, np.zeros((L, 1, 3))], axis=1)  # index MISSED, the last, is zero
+    padded = np.zeros((L, innovations.shape[1] + 1, 3))  # index MISSED, the last, stays zero
+    padded[:, :-1] = innovations
     mu = padded[np.arange(L), assigned].reshape(len(assigned), 3 * L)
-    starts = np.flatnonzero(np.r_[True, (detected[1:] != detected[:-1]).any(1)])
-    stops = np.r_[starts[1:], len(assigned)]
-    phis = detected[starts]
-    mask = np.repeat(phis, 3, axis=1).astype(float)
-    masked = S * (mask[:, :, None] * mask[:, None, :])
-    masked[:, np.arange(3 * L), np.arange(3 * L)] += 1 - mask
+    masked = S * both
+    diagonal = masked.reshape(len(masked), -1)[:, :: 3 * L + 1]
+    diagonal += neither
     B = np.linalg.inv(masked)
-    B[:, np.arange(3 * L), np.arange(3 * L)] -= 1 - mask
-    log_prior = (np.log(P_D / clutter) - LOG_2PI_3_2) * phis + np.log1p(-P_D) * ~phis
-    log_phi = log_prior.sum(1) - 0.5 * np.linalg.slogdet(masked)[1]
+    log_detected, log_missed = np.log(P_D / clutter) - LOG_2PI_3_2, np.log1p(-P_D)
+    log_phi = detected @ (log_detected - log_missed) + log_missed.sum() - 0.5 * np.linalg.slogdet(masked)[1]
+    B.reshape(len(B), -1)[:, :: 3 * L + 1] -= neither
     y = np.empty_like(mu)
-    for k, (a, b) in enumerate(zip(starts.tolist(), stops.tolist(), strict=True)):
-        np.matmul(mu[a:b], B[k], out=y[a:b])
-    log_weight = np.repeat(log_phi, stops - starts) - 0.5 * (mu * y).sum(1)
+    start = 0
+    for k, count in enumerate(counts.tolist()):
+        np.matmul(mu[start : start + count], B[k], out=y[start : start + count])
+        start += count
+    log_weight = log_phi.repeat(counts) - 0.5 * (mu * y).sum(1)
     top = log_weight.max()
     weight = np.exp(log_weight - top)
     total = weight.sum()
     beta = weight / total
     g = beta @ y
-    W = np.tensordot(np.add.reduceat(beta, starts), B, 1) - (y * beta[:, None]).T @ y + np.outer(g, g)
+    B_mean = (np.add.reduceat(beta, starts) @ B.reshape(len(B), -1)).reshape(3 * L, 3 * L)
+    W = B_mean - (y * beta[:, None]).T @ y + g[:, None] * g
     return Weighed(g, W, float(top + np.log(total)), assigned[beta.argmax()])
 
 

@@ -17,14 +17,14 @@ import numpy.typing as npt
 from scipy.linalg import lapack
 
 from agent.config import AgentConfig
-from agent.estimator import cpdaf, detection_model, odometry_model
+from agent.estimator import cpdaf, odometry_model
 from agent.estimator.gating import chi_square_quantile
-from agent.estimator.moments import DetectionGeometry, PoseMoments, detection_moments, pose_moments
+from agent.estimator.moments import DetectionGeometry, PoseMoments, pose_moments
 from agent.estimator.prediction import predict
-from agent.estimator.small_matrices import diagonal_index
 from agent.estimator.state import Poses, State, from_frames
+from agent.estimator.station_update import Pairs, station_update
 from agent.interface.fleet import Fleet
-from agent.interface.frames import Array, rotate_z, wrap
+from agent.interface.frames import Array, wrap
 from agent.interface.messages import LOCALISED, SEARCHING
 
 COASTING_SIGMA = (0.5, 0.5)  # m/s per axis and rad/s: how far a MAV may stray from its last velocity while unheard
@@ -104,11 +104,7 @@ class Estimator:
         assert self._state is not None
         self._before: PoseMoments = pose_moments(self._state)
         self._poses: Poses = self._before.poses
-        by_mav = self._poses.by_mav
-        lines = by_mav[None, :, :3] - by_mav[:, None, :3]
-        detector = self._config.detector
-        self._R = detection_model.noise_covariance(detector, lines)  # (N, N, 3, 3) [station, target]
-        self._P_D = detection_model.detection_probability(detector, lines, by_mav[:, None, 3])  # (N, N)
+        self._pairs = Pairs.at(self._poses, self._config.detector)
 
     def associate(self, station: int, spherical: Array, labels: npt.NDArray[np.intp] | None = None) -> None:
         """Updates with one detection set.
@@ -120,26 +116,17 @@ class Estimator:
         """
         if self._state is None or not len(spherical) or self._fleet.mavs == 1:
             return
+        density = self._config.detector.clutter_density
         geometry = self._geometry[station - 1]
-        targets = geometry.targets
-        moments = detection_moments(self._poses, geometry)
-        L = len(targets)
-        S = moments.P_zz
-        S.ravel()[diagonal_index(L)] += self._R[station - 1, targets].reshape(L, 9)
-        z = rotate_z(self._poses.y[geometry.yaw_row], detection_model.cartesian(spherical))
-        innovations = z - moments.z_hat[:, None]
-        if labels is None:
-            P_D = self._P_D[station - 1, targets]
-            found = cpdaf.associate(S, innovations, P_D, self._config.detector.clutter_density, self._rules)
-        else:
-            index = np.where(labels > 0, np.searchsorted(targets, labels - 1), -1)
-            found = cpdaf.told(S, innovations, index)
-        if len(found.rows):
-            P_yz = moments.P_yz[:, found.rows]
-            self._poses = Poses(self._poses.y + P_yz @ found.g, self._poses.Sigma - P_yz @ found.W @ P_yz.T)
+        self._poses, found = station_update(self._poses, geometry, self._pairs, spherical, density, self._rules, labels)
         self._innovations += len(found.distances)
         self._inside += int((found.distances <= self._gate_95).sum())
         self._lost_mass = max(self._lost_mass, found.lost_mass)
+
+    @property
+    def poses(self) -> Poses:
+        """All poses as they are believed within this tick, in the station's odometry frame; after `predict`."""
+        return self._poses
 
     def finish(self) -> Beliefs:
         """Lifts the tick's pose updates to the state; what is believed now."""

@@ -30,8 +30,29 @@ Assignments = npt.NDArray[np.intp]
 
 
 class Hypotheses(NamedTuple):
-    assigned: Assignments  # (H, L) detection of each target, or MISSED; rows that detect the same targets adjoin
-    log_lost: float  # log of a bound on the sum of the weights left out, in the units of `log_weight` of cpdaf.py
+    """H hypotheses over L targets, in G groups of rows that detect the same targets."""
+
+    assigned: Assignments  # (H, L) detection of each target, or MISSED
+    detected: npt.NDArray[np.bool_]  # (G, L) which targets each group detects
+    starts: Assignments  # (G,) first row of each group
+    counts: Assignments  # (G,) rows in each group
+    both: Array  # (G, 3L, 3L) 1 where row and column belong to detected targets, else 0
+    neither: Array  # (G, 3L) 1 on the diagonal of targets that are missed, else 0
+
+
+class Tree(NamedTuple):
+    hypotheses: Hypotheses
+    log_lost: float  # log of a bound on the sum of the weights left out, in the units of `log_total` of cpdaf.Weighed
+
+
+def grouped(assigned: Assignments) -> Hypotheses:
+    """Sorts hypotheses (H, L) into groups that detect the same targets."""
+    assigned = assigned[np.lexsort((assigned != MISSED).T)] if assigned.shape[1] else assigned
+    detected = assigned != MISSED
+    starts = np.flatnonzero(np.r_[True, (detected[1:] != detected[:-1]).any(1)])
+    mask = np.repeat(detected[starts], 3, axis=1).astype(float)
+    counts = np.diff(np.r_[starts, len(assigned)])
+    return Hypotheses(assigned, detected[starts], starts, counts, mask[:, :, None] * mask[:, None, :], 1 - mask)
 
 
 def candidates_of(inside: npt.NDArray[np.bool_]) -> tuple[tuple[int, ...], ...]:
@@ -47,18 +68,15 @@ def combinations(candidates: tuple[tuple[int, ...], ...]) -> int:
     return count
 
 
-@lru_cache(maxsize=4096)
-def every_hypothesis(candidates: tuple[tuple[int, ...], ...]) -> Assignments:
-    """All hypotheses (H, L) of this gate pattern, those that detect the same targets adjoining."""
+@lru_cache(maxsize=512)
+def every_hypothesis(candidates: tuple[tuple[int, ...], ...]) -> Hypotheses:
+    """All hypotheses of this gate pattern."""
     rows = []
     for row in product(*((MISSED, *own) for own in candidates)):
         taken = [m for m in row if m != MISSED]
         if len(taken) == len(set(taken)):
             rows.append(row)
-    rows.sort(key=lambda row: tuple(m != MISSED for m in row))
-    assigned = np.array(rows, dtype=np.intp).reshape(len(rows), len(candidates))
-    assigned.flags.writeable = False
-    return assigned
+    return grouped(np.array(rows, dtype=np.intp).reshape(len(rows), len(candidates)))
 
 
 class _Branches(NamedTuple):
@@ -74,7 +92,7 @@ class _Branches(NamedTuple):
 
 def grow_tree(
     candidates: tuple[tuple[int, ...], ...], S: Array, innovations: Array, P_D: Array, clutter: float, pruned: float
-) -> Hypotheses:
+) -> Tree:
     """The hypotheses whose weight is more than about `pruned` of the best one's.
 
     Args:
@@ -113,8 +131,7 @@ def grow_tree(
             )
     assigned = np.empty_like(tree.assigned)
     assigned[:, order] = tree.assigned
-    detects = np.lexsort((assigned != MISSED).T[::-1])
-    return Hypotheses(assigned[detects], float(log_lost))
+    return Tree(grouped(assigned), float(log_lost))
 
 
 def _branch(tree: _Branches, own: Assignments, innovations: Array, P_D: float, clutter: float) -> _Branches:

@@ -34,6 +34,8 @@ def _readable(text: str, table: dict[str, Any], name: str) -> str:
     missing = re.fullmatch(r"Object missing required field `(.*)`", what)
     if missing:
         return f"{name}{path}.{missing[1]}: this key is required"
+    if re.match(r"\w+ = ", what):  # said by a struct's own check, which names the key and the value
+        return f"{name}{path}.{what}"
     value: Any = table
     for step in re.findall(r"[^.\[\]]+", path):
         value = value[int(step)] if isinstance(value, list) else value.get(step)

@@ -14,14 +14,22 @@ from tests import team
 
 
 def fly(
-    seed, mavs=4, ticks=80, station=1, config=None, clairvoyant=False, far_m=0.0, true_odometry=None, drop=lambda k, i: False
+    seed,
+    mavs=4,
+    ticks=80,
+    station=1,
+    config=None,
+    clairvoyant=False,
+    far_m=0.0,
+    true_odometry=None,
+    drop=lambda k, i: False,
 ):
     """Errors (ticks, N - 1, 4) of relative poses and their covariances, as agent `station` believes them."""
     rng = np.random.default_rng(seed)
     estimator = Estimator(config or AgentConfig(), Fleet(mavs=mavs), station)
     errors, covariances, beliefs = [], [], None
     others = [j for j in range(mavs) if j != station - 1]
-    for k, tick in enumerate(team.circling(rng, mavs, ticks, far_m=far_m, odometry=true_odometry)):
+    for k, tick in enumerate(team.circling(rng, mavs, ticks, far_m=far_m)):
         if k == 0:
             noise = np.column_stack([rng.normal(0, 0.2, (mavs, 3)), rng.normal(0, 0.1, mavs)])
             noise[station - 1] = 0

@@ -67,9 +67,7 @@ def test_the_linear_form_is_close_where_it_takes_over(seed):
     assert state.P[7::8, 7::8].diagonal().max() <= 1e-3
     B = poses_jacobian(state)
     np.testing.assert_allclose(linear.poses.Sigma, B @ state.P @ B.T)
-    turned = turned_vectors(
-        state.by_mav[:, 7], state.by_mav[:, :3], _arm_covariance(state)
-    )
+    turned = turned_vectors(state.by_mav[:, 7], state.by_mav[:, :3], _arm_covariance(state))
     arms = linear.poses.by_mav[:, :3] - state.by_mav[:, 4:7]
     np.testing.assert_allclose(arms, turned.mean, atol=2e-3)
 

@@ -1,0 +1,54 @@
+# `make run` flies a swarm, `make test` runs the tests: each does all the set-up that it needs.
+PYTHON ?= python3
+BIN := .venv/bin
+export OPENBLAS_NUM_THREADS := 1
+
+.PHONY: run test check bench lock clean
+.DEFAULT_GOAL := help
+
+help:
+	@echo "make run    fly the paper's first experiment with seven MAVs"
+	@echo "make test   run the tests"
+	@echo "make check  import contracts, formatting, types and tests"
+	@echo "make bench  time one station update against the plain one, N = 3..9 (runs/bench.json)"
+	@echo "make lock   renew requirements.lock and requirements-test.lock from pyproject.toml"
+
+run: .venv/ready
+	$(BIN)/swarm run paper_run_1
+
+test: .venv/ready-to-test
+	$(BIN)/python -m pytest
+
+check: .venv/ready-to-test
+	$(BIN)/lint-imports
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/python -m pytest
+
+bench: .venv/ready-to-test
+	$(BIN)/python -m tests.bench.station_update
+
+.venv/uv:
+	$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed, this is " + sys.version.split()[0]) if sys.version_info < (3, 11) else None'
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check "uv>=0.5"
+	touch $@
+
+.venv/ready: .venv/uv requirements.lock pyproject.toml
+	$(BIN)/uv pip install --quiet --python $(BIN)/python --require-hashes -r requirements.lock
+	$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable .
+	touch $@
+
+.venv/ready-to-test: .venv/ready requirements-test.lock
+	$(BIN)/uv pip install --quiet --python $(BIN)/python --require-hashes -r requirements-test.lock
+	touch $@
+
+lock: .venv/uv
+	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 \
+		--extra build -o requirements.lock pyproject.toml
+	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 \
+		--extra build --extra test -o requirements-test.lock pyproject.toml
+
+clean:
+	rm -rf .venv runs

@@ -1,0 +1,89 @@
+"""The two buses keep the same promises."""
+
+import tempfile
+from pathlib import Path
+
+import pytest
+
+from agent.interface.bus import BusError, MemoryBus, Network, Packet, ZenohBus
+
+
+@pytest.fixture
+def sockets():
+    with tempfile.TemporaryDirectory() as folder:  # a short path: socket paths hold 108 characters
+        yield Path(folder)
+
+
+def network(sockets, name, connect=(), **more):
+    def endpoint(of):
+        return f"unixsock-stream/{sockets}/{of}.sock"
+
+    return Network(name, "swarm/test", (endpoint(name),), tuple(map(endpoint, connect)), **more)
+
+
+def meet(*buses):
+    for bus in buses:
+        bus.announce(f"alive/{bus.network.name}")
+    for bus in buses:
+        bus.await_alive([f"alive/{other.network.name}" for other in buses if other is not bus], 10)
+
+
+def test_memory_delivers_in_order_to_every_match():
+    bus = MemoryBus()
+    every, one, some = bus.subscribe("**"), bus.subscribe("air/1/odometry"), bus.subscribe("air/*/odometry")
+    for key in ("air/1/odometry", "air/2/odometry", "air/2/detections", "air"):
+        bus.publish(key, key.encode())
+    assert [p.key for p in every.drain()] == ["air/1/odometry", "air/2/odometry", "air/2/detections", "air"]
+    assert one.drain() == [Packet("air/1/odometry", b"air/1/odometry")]
+    assert [p.key for p in some.drain()] == ["air/1/odometry", "air/2/odometry"]
+    assert one.wait(None) == []
+
+
+def test_memory_reaches_those_who_subscribe_later():
+    bus = MemoryBus()
+    bus.publish("a/1", b"")
+    later = bus.subscribe("a/*")
+    bus.publish("a/1", b"x")
+    assert later.drain() == [Packet("a/1", b"x")]
+
+
+@pytest.mark.system
+def test_zenoh_delivers_everything_in_order_and_not_to_itself(sockets):
+    with ZenohBus(network(sockets, "a")) as a, ZenohBus(network(sockets, "b", ["a"])) as b:
+        inbox, own = b.subscribe("air/*/odometry"), a.subscribe("air/**")
+        meet(a, b)
+        sent = [Packet(f"air/{k % 3}/odometry", bytes([k])) for k in range(200)]
+        for packet in sent:
+            a.publish(*packet)
+        got = []
+        while len(got) < len(sent):
+            got += inbox.wait(None)
+        assert got == sent
+        assert own.drain() == []
+        assert inbox.wait(0.0) == []
+
+
+@pytest.mark.system
+def test_truth_does_not_reach_those_who_are_denied_it(sockets):
+    with (
+        ZenohBus(network(sockets, "world")) as world,
+        ZenohBus(network(sockets, "mav_1", ["world"], deny=("truth/**",))) as agent,
+    ):
+        truth, sensor = agent.subscribe("truth/**"), agent.subscribe("sensor/**")
+        meet(world, agent)
+        world.publish("truth/1/pose", b"secret")
+        world.publish("sensor/1/vio", b"fair")
+        assert sensor.wait(None) == [Packet("sensor/1/vio", b"fair")]
+        assert truth.drain() == []
+
+
+@pytest.mark.system
+def test_who_does_not_come_is_named(sockets):
+    with ZenohBus(network(sockets, "a")) as a, pytest.raises(BusError, match=r"a: waited 0\.05 s .*alive/b"):
+        a.await_alive(["alive/b"], 0.05)
+
+
+@pytest.mark.system
+def test_a_socket_that_cannot_be_had_is_one_clear_error(sockets):
+    with pytest.raises(BusError, match="a: cannot open the network"):
+        ZenohBus(Network("a", "swarm/test", (f"unixsock-stream/{sockets}/no/such/folder/a.sock",)))

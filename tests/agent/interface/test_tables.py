@@ -1,0 +1,51 @@
+"""Experiment tables: the exact key, the value, and what was expected."""
+
+import pytest
+
+from agent import config
+from agent.interface.fleet import Fleet
+from agent.interface.tables import BadExperiment, parse_table
+
+
+@pytest.mark.parametrize(
+    ("table", "says"),
+    [
+        ({"strat": "survey"}, "agent.strat: there is no such key"),
+        ({"detector": {"P_d": 0.9}}, "agent.detector.P_d: there is no such key"),
+        ({"detector": {"P_D": "high"}}, "agent.detector.P_D = 'high': expected float, got str"),
+        ({"detector": {"P_D": 1.0}}, "agent.detector.P_D = 1.0: expected a probability"),
+        ({"detector": {"false_per_set": 0.0}}, "false_per_set = 0.0: expected"),
+        ({"detector": {"bearing_sigma_rad": -1.0}}, "bearing_sigma_rad = -1.0: expected between 0 and 1 rad"),
+        ({"odometry": {"yaw_sigma_rad": 2.0}}, "yaw_sigma_rad = 2.0: expected between 0 and 1 rad"),
+        ({"filter": {"P_G": 1.5}}, "P_G = 1.5: expected a probability"),
+        ({"filter": {"pruned_mass": 0.5}}, "pruned_mass = 0.5: expected"),
+        ({"filter": {"odometry_sigma_m": 0.0}}, "odometry_sigma_m"),
+        ({"start": "guess"}, "agent.start = 'guess': invalid enum value 'guess'"),
+    ],
+)
+def test_agent_table(table, says):
+    with pytest.raises(BadExperiment) as caught:
+        config.parse(table)
+    assert says in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("table", "says"),
+    [
+        ({"mavs": 0}, "fleet.mavs = 0: expected 1 to 50"),
+        ({"seed": -1}, "seed = -1: expected 0 or more"),
+        ({"rate_hz": 0.0}, "rate_hz = 0.0: expected 0.1 to 200 Hz"),
+        ({"duration_s": 0.0}, "duration_s = 0.0: expected"),
+        ({"mavs": 7.5}, "fleet.mavs = 7.5: expected int, got float"),
+    ],
+)
+def test_fleet_table(table, says):
+    with pytest.raises(BadExperiment) as caught:
+        parse_table(Fleet, table, "fleet")
+    assert says in str(caught.value)
+
+
+def test_defaults_are_the_papers():
+    agent = config.parse({})
+    assert (agent.detector.bearing_sigma_rad, agent.detector.range_sigma_slope) == (0.008, 0.0495)
+    assert (agent.odometry.position_sigma_m, agent.odometry.yaw_sigma_rad) == (0.01, 0.002)

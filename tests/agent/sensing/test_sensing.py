@@ -1,0 +1,99 @@
+"""Own sensors levelled, foreign packets checked, ticks gathered."""
+
+import logging
+
+import msgpack
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from agent.interface import messages as m
+from agent.interface.bus import Packet
+from agent.interface.frames import direction, range_and_bearing
+from agent.sensing import detections, vio
+from agent.sensing.inbox import Inbox
+from agent.sensing.neighbours import AHEAD, Neighbours
+
+
+def test_tilt_is_taken_out_of_what_the_camera_sees():
+    rng = np.random.default_rng(0)
+    orientation = Rotation.from_euler("ZYX", [1.1, 0.2, -0.3])
+    reading = vio.read(m.Vio(1, 7, 0, 0, 0, np.array([1.0, 2, 3]).tobytes(), orientation.as_quat().tobytes()))
+    np.testing.assert_allclose(reading.pose, [1, 2, 3, 1.1])
+    lines_odom = rng.normal(size=(5, 3)) * 3  # from the MAV, in its odometry axes
+    in_camera = range_and_bearing(orientation.inv().apply(lines_odom))
+    set_ = m.Sightings(1, 7, 0, 0, 0, m.spherical_block(in_camera))
+    levelled = detections.levelled(set_, reading.tilt)
+    vectors = levelled[:, :1] * direction(levelled[:, 1], levelled[:, 2])
+    expected = Rotation.from_euler("z", -1.1).apply(lines_odom)
+    np.testing.assert_allclose(vectors, expected, atol=1e-5)
+
+
+def odometry(mav=2, epoch=7, version=1, x=1.0):
+    return msgpack.packb([version, epoch, mav, 0, 0, np.array([x, 0, 0, 0]).tobytes()])
+
+
+@pytest.mark.parametrize(
+    ("key", "payload", "reason"),
+    [
+        ("air/2/odometry", b"", "malformed"),
+        ("air/2/odometry", b"\xff" * 30, "malformed"),
+        ("air/2/odometry", odometry()[:-3], "malformed"),
+        ("air/2/odometry", odometry(x=np.nan), "malformed"),
+        ("air/2/odometry", bytes(70_000), "oversized"),
+        ("air/2/odometry", odometry(version=9), "version"),
+        ("air/2/odometry", odometry(epoch=8), "epoch"),
+        ("air/3/odometry", odometry(mav=2), "sender"),
+        ("air/9/odometry", odometry(mav=9), "sender"),
+        ("air/2/rumours", odometry(), "topic"),
+        ("air/²/odometry", odometry(), "topic"),
+        ("nonsense", b"", "topic"),
+        ("sensor/1/survey", m.encode(m.Survey(1, 7, 0, 0, 0, bytes(64), 0.2, 0.1)), "malformed"),
+    ],
+)
+def test_bad_packets_are_counted_and_logged_once_per_sender(key, payload, reason, caplog):
+    inbox = Inbox(mav=1, mavs=3, epoch=7)
+    with caplog.at_level(logging.WARNING):
+        for _ in range(3):
+            assert inbox.read(Packet(key, payload)) is None
+    assert (inbox.received, inbox.rejected) == (3, 3)
+    assert len(caplog.records) == 1
+    assert reason in caplog.text
+    assert inbox.read(Packet("air/2/odometry", odometry())) is not None
+
+
+def test_logging_is_bounded_under_a_flood_of_keys(caplog):
+    inbox = Inbox(mav=1, mavs=3, epoch=7)
+    for k in range(3000):
+        inbox.read(Packet(f"air/{k}/rubbish", b""))
+    assert inbox.rejected == 3000
+    assert len(caplog.records) <= 1000
+
+
+def test_a_tick_is_complete_with_everybodys_data():
+    neighbours = Neighbours(2)
+    neighbours.put(5, 1, odometry=np.zeros(4), detections=np.zeros((0, 3)))
+    neighbours.put(5, 2, odometry=np.ones(4))
+    assert not neighbours.complete(5)
+    neighbours.put(5, 2, detections=np.zeros((1, 3)))
+    assert neighbours.complete(5)
+    tick = neighbours.take(5)
+    assert (set(tick.odometry), set(tick.detections)) == ({1, 2}, {1, 2})
+
+
+def test_late_and_repeated_data_is_counted_and_ignored():
+    neighbours = Neighbours(2)
+    neighbours.put(5, 1, odometry=np.zeros(4))
+    neighbours.put(5, 1, odometry=np.ones(4))
+    assert neighbours.take(5).odometry[1].sum() == 0
+    neighbours.put(5, 2, odometry=np.zeros(4))
+    neighbours.put(4, 2, detections=np.zeros((0, 3)))
+    assert (neighbours.duplicate, neighbours.late) == (1, 2)
+
+
+def test_what_waits_is_bounded():
+    neighbours = Neighbours(2)
+    for stamp in range(10_000, 0, -1):
+        neighbours.put(stamp, 2, odometry=np.zeros(4))
+    assert len(neighbours._ticks) == AHEAD
+    assert 1 in neighbours._ticks

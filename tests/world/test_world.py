@@ -1,0 +1,247 @@
+"""Does the loop publish what it should, wait for the right answers and count what went out?"""
+
+import logging
+from collections import defaultdict
+
+import numpy as np
+import pytest
+
+from agent.interface import clock, messages, topics
+from agent.interface.bus import MemoryBus, Packet
+from agent.interface.fleet import Fleet
+from agent.interface.frames import compose, inverse, range_and_bearing, relative_pose, rotation_matrix, yaw_of
+from world.config import WorldConfig, parse
+from world.world import World
+
+FLEET = Fleet(mavs=4, duration_s=2.0, seed=7)
+TABLE = {
+    "path": [
+        {"formation": "circle", "radius_m": 1.35, "hold_s": 0.5},
+        {"formation": "circle", "radius_m": 2.0, "move_s": 2.0},
+    ]
+}
+EPOCH = 3
+
+
+def config(**more: object) -> WorldConfig:
+    return parse(TABLE | more, FLEET)
+
+
+def answer(mav: int, stamp_ns: int, **changed: int) -> bytes:
+    zero = np.zeros(3).tobytes()
+    header = {"version": messages.VERSION, "epoch": EPOCH, "sender": mav, "seq": 0, "stamp_ns": stamp_ns} | changed
+    return messages.encode(messages.Setpoint(*header.values(), zero, zero, zero, 0.0))
+
+
+def command_key(mav: int) -> str:
+    return topics.key(topics.COMMAND, mav)
+
+
+def fly(fleet: Fleet = FLEET, **more: object) -> list[Packet]:
+    """A whole run with agents that answer at once."""
+    bus = MemoryBus()
+    heard = bus.subscribe("**")
+    world = World(parse(TABLE | more, fleet), fleet, EPOCH, bus)
+    world.begin()
+    tick = 0
+    while not world.finished:
+        world.publish_tick()
+        world.step()
+        for mav in fleet.ids:
+            assert not world.answered()
+            bus.publish(command_key(mav), answer(mav, fleet.stamp_ns(tick)))
+        assert world.answered()
+        tick += 1
+    world.end()
+    return [packet for packet in heard.drain() if not packet.key.startswith("command")]
+
+
+def by_topic(packets: list[Packet]) -> dict[tuple[str, int], list]:
+    """Decoded messages of each topic and MAV, in order."""
+    heard = defaultdict(list)
+    for key, payload in packets:
+        topic, mav = topics.parse(key)
+        heard[topic.name, mav].append(messages.decode(topic.kind, payload, EPOCH))
+    return heard
+
+
+def test_every_tick_every_mav_gets_its_readings() -> None:
+    heard = by_topic(fly())
+    for mav in FLEET.ids:
+        for name in ("vio", "sightings", "truth", "labels"):
+            sent = heard[name, mav]
+            assert [each.seq for each in sent] == list(range(20))
+            assert [each.stamp_ns for each in sent] == [FLEET.stamp_ns(tick) for tick in range(20)]
+            assert {each.sender for each in sent} == {0}
+        assert len(heard["survey", mav]) == len(heard["end", mav]) == 1
+        assert heard["end", mav][0].stamp_ns == FLEET.stamp_ns(19)
+        for sightings, labels in zip(heard["sightings", mav], heard["labels", mav], strict=True):
+            assert len(messages.read_spherical(sightings.spherical)) == len(labels.targets)
+            assert {labels.mav} == {mav}
+            assert mav not in labels.targets
+    assert len(heard) == 4 * 6 + 1
+
+
+def test_nothing_of_the_truth_is_on_what_agents_may_read() -> None:
+    heard = {key.split("/")[0] for key, _ in fly()}
+    assert heard == {"truth", "sensor", "status"}
+
+
+def test_readings_are_of_the_true_poses() -> None:
+    exact = {"odometry": {"position_sigma_m": 0.0, "yaw_sigma_rad": 0.0}}
+    sharp = {
+        "detector": {"P_D": 0.999, "bearing_sigma_rad": 1e-6, "range_sigma_slope": 0.0, "range_sigma_offset_m": 1e-6}
+    }
+    heard = by_topic(fly(**exact, **sharp))
+    position = np.array([[messages.floats(each.position) for each in heard["truth", mav]] for mav in FLEET.ids])
+    quaternion = np.array([[messages.floats(each.quaternion) for each in heard["truth", mav]] for mav in FLEET.ids])
+    pose = np.concatenate([position, yaw_of(quaternion)[..., None]], axis=-1)
+    radius = np.linalg.norm(position[:, :, :2], axis=-1)
+    np.testing.assert_allclose(radius[:, 0], 1.35, atol=1e-12)
+    assert radius[:, -1].min() > 1.8
+    for i, mav in enumerate(FLEET.ids):
+        for tick in range(20):
+            vio = heard["vio", mav][tick]
+            expected = relative_pose(pose[i, 0], pose[i, tick])
+            np.testing.assert_allclose(messages.floats(vio.position), expected[:3], atol=1e-12)
+            detections = messages.read_spherical(heard["sightings", mav][tick].spherical)
+            rotation = rotation_matrix(quaternion[i, tick])
+            for seen, target in zip(detections, heard["labels", mav][tick].targets, strict=True):
+                if target:
+                    apart = (position[target - 1, tick] - position[i, tick]) @ rotation
+                    np.testing.assert_allclose(seen, range_and_bearing(apart), atol=1e-4)
+
+
+def test_the_survey_is_rough_and_exact_about_oneself() -> None:
+    heard = by_topic(fly())
+    start = np.array(
+        [
+            [*messages.floats(first.position), yaw_of(messages.floats(first.quaternion))]
+            for first in (heard["truth", mav][0] for mav in FLEET.ids)
+        ]
+    )
+    errors = []
+    for i, mav in enumerate(FLEET.ids):
+        survey = heard["survey", mav][0]
+        poses = messages.floats(survey.poses).reshape(4, 4)
+        assert (poses[i] == 0).all()
+        assert (survey.position_sigma_m, survey.yaw_sigma_rad) == (0.2, 0.1)
+        errors.extend(np.delete(compose(inverse(compose(inverse(start[i]), start)), poses), i, axis=0))
+    errors = np.array(errors)
+    assert 0.1 < errors[:, :3].std() < 0.3
+    assert 0.04 < errors[:, 3].std() < 0.2
+
+
+def test_without_a_survey_nobody_is_told_anything() -> None:
+    assert not [key for key, _ in fly(survey="none") if key.endswith("survey")]
+
+
+def test_the_same_seed_publishes_the_same_bytes_and_another_does_not() -> None:
+    first, again = ([each for each in fly() if each.key != "status/0"] for _ in range(2))
+    assert first == again
+    other = fly(Fleet(mavs=4, duration_s=2.0, seed=8))
+    for name in ("vio", "sightings", "survey", "pose", "labels"):
+        pairs = [(a, b) for a, b in zip(first, other, strict=False) if a.key.endswith(name)]
+        assert pairs
+        assert any(a != b for a, b in pairs)
+
+
+@pytest.mark.parametrize("rate_hz", [7.0, 30.0, 200.0])
+def test_any_rate_ends_where_the_path_does(rate_hz: float) -> None:
+    heard = by_topic(fly(Fleet(mavs=2, duration_s=3.0, rate_hz=rate_hz)))
+    assert len(heard["truth", 1]) == round(3 * rate_hz)
+    last = messages.floats(heard["truth", 1][-1].position)
+    assert np.linalg.norm(last[:2]) == pytest.approx(2.0, abs=0.03)
+
+
+def test_the_final_status_counts_every_message_itself_included() -> None:
+    packets = fly()
+    assert packets[-1].key == "status/0"
+    status = messages.decode(messages.Status, packets[-1].payload, EPOCH)
+    assert status.final
+    assert status.sender == 0
+    assert status.sent == len(packets)
+    assert status.sent_bytes == sum(len(payload) for _, payload in packets)
+    assert status.received == 4 * 20
+    assert status.rejected == status.late == 0
+
+
+def test_only_the_setpoint_of_this_tick_and_of_its_owner_is_an_answer(caplog: pytest.LogCaptureFixture) -> None:
+    bus = MemoryBus()
+    world = World(config(), FLEET, EPOCH, bus)
+    world.publish_tick()
+    world.step()
+    world.publish_tick()
+    stamp_ns = FLEET.stamp_ns(1)
+    for mav in (1, 2, 3):
+        bus.publish(command_key(mav), answer(mav, stamp_ns))
+    bus.publish(command_key(4), answer(4, FLEET.stamp_ns(0)))  # too late: not an answer, but nothing wrong with it
+    with caplog.at_level(logging.WARNING):
+        for payload in (b"", b"\xff" * 20, answer(4, stamp_ns, epoch=9), answer(4, stamp_ns, version=2)):
+            bus.publish(command_key(4), payload)
+        bus.publish(command_key(4), answer(3, stamp_ns))
+        bus.publish(command_key(9), answer(4, stamp_ns))
+        bus.publish(command_key(3), b"\x00" * 100_000)
+        assert not world.answered()
+    assert (world.received, world.rejected) == (4, 7)
+    assert [record.message.split("message at ")[1].split()[0] for record in caplog.records] == [
+        "command/4",
+        "command/9",
+        "command/3",
+    ]
+    bus.publish(command_key(4), answer(4, stamp_ns))
+    assert world.answered()
+
+
+def test_lockstep_waits_for_answers() -> None:
+    class Agents(MemoryBus):
+        """Answers only when it is waited for, one MAV at a time."""
+
+        def subscribe(self, pattern: str):
+            inbox, pending = super().subscribe(pattern), []
+            self.pending = pending
+
+            def wait(timeout_s: float | None) -> list[Packet]:
+                assert timeout_s is None
+                return [pending.pop(0)]
+
+            inbox.wait = wait
+            return inbox
+
+        def publish(self, key: str, payload: bytes) -> None:
+            super().publish(key, payload)
+            if key.endswith("vio"):
+                mav = int(key.split("/")[1])
+                stamp_ns = messages.decode(messages.Vio, payload, EPOCH).stamp_ns
+                self.pending.append(Packet(command_key(mav), answer(mav, stamp_ns)))
+
+    bus = Agents()
+    world = World(config(), FLEET, EPOCH, bus)
+    world.run_lockstep()
+    assert world.finished
+    assert world.received == 80
+    assert bus.pending == []
+
+
+def test_real_time_is_paced_waits_for_nobody_and_counts_late_ticks(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s, begun_s = [100.0], []
+
+    def sleep_until(deadline_s: float) -> None:
+        now_s[0] = max(now_s[0], deadline_s)
+
+    class SlowAtTick5(MemoryBus):
+        def publish(self, key: str, payload: bytes) -> None:
+            if key == "sensor/1/vio":
+                begun_s.append(now_s[0])
+                now_s[0] += 0.27 if len(begun_s) == 6 else 0.01
+            super().publish(key, payload)
+
+    monkeypatch.setattr(clock, "now_s", lambda: now_s[0])
+    monkeypatch.setattr(clock, "sleep_until", sleep_until)
+    world = World(config(), FLEET, EPOCH, SlowAtTick5())
+    world.run_realtime()
+    # Tick 5 holds up 6 and 7 (due 0.1 and 0.2 s after it); from 8 on all is in time again.
+    np.testing.assert_allclose(np.array(begun_s[:6]) - 100, np.arange(6) / 10, atol=1e-9)
+    np.testing.assert_allclose(np.array(begun_s[6:10]) - 100, [0.77, 0.78, 0.8, 0.9], atol=1e-9)
+    assert len(begun_s) == 20
+    assert world.late == 2

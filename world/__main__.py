@@ -1,0 +1,31 @@
+"""`python -m world`: simulates one run, or plays recorded flights, for the agents on the bus."""
+
+import sys
+
+from agent.interface import process
+from agent.interface.bus import BusError, ZenohBus
+from agent.interface.tables import BadExperiment
+from world.config import parse
+from world.world import World
+
+
+def main() -> int:
+    process.stop_on_signals()
+    try:
+        start = process.arguments("python -m world")
+        config = parse(start.experiment.get("world", {}), start.fleet)
+        with ZenohBus(start.network) as bus:
+            world = World(config, start.fleet, start.epoch, bus)  # subscribes, so it comes before the others are met
+            process.meet(bus, start.everyone, start.epoch)
+            if start.fleet.realtime:
+                world.run_realtime()
+            else:
+                world.run_lockstep()
+    except (BadExperiment, BusError) as error:
+        print(f"world: {error}", file=sys.stderr)
+        return 2 if isinstance(error, BadExperiment) else 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,54 @@
+"""What can be set on the world? The experiment's [world] table: every parameter with unit and source."""
+
+from typing import Any, Literal
+
+import msgspec
+
+from agent.interface.fleet import Fleet
+from agent.interface.sensors import Detector, Odometry
+from agent.interface.tables import BadExperiment, parse_table
+from world.recorded import Flight, RecordedFlights
+from world.scenario import Leg, Scenario
+
+
+class Survey(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How roughly is it measured before the start where every odometry frame is?"""
+
+    position_sigma_m: float = 0.2  # per axis
+    yaw_sigma_rad: float = 0.1
+
+    def __post_init__(self) -> None:
+        for name, value in (("position_sigma_m", self.position_sigma_m), ("yaw_sigma_rad", self.yaw_sigma_rad)):
+            if not 0 < value < 100:
+                raise ValueError(f"{name} = {value!r}: expected between 0 and 100, both excluded")
+
+
+class WorldConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    detector: Detector = Detector()
+    odometry: Odometry = Odometry()  # of simulated flights; recorded ones bring their own
+    survey: Survey | Literal["none"] = Survey()  # "none": nobody is told anything before the start
+    start_yaw: Literal["random", "zero"] = "random"  # of simulated flights: uniform in the circle, or along the x axis
+    path: tuple[Leg, ...] = ()  # a simulated flight ...
+    flights: tuple[Flight, ...] = ()  # ... or recorded ones, one per MAV
+    flights_dir: str | None = None  # where their files are
+
+
+def parse(table: dict[str, Any], fleet: Fleet) -> WorldConfig:
+    """The [world] table of an experiment, checked so far that nothing in it can fail once the world runs.
+
+    Raises:
+        BadExperiment: unknown key, wrong type, impossible value, a path that cannot be flown or unusable recordings.
+    """
+    config = parse_table(WorldConfig, table, "world")
+    if fleet.ticks < 1:
+        raise BadExperiment(f"fleet.duration_s = {fleet.duration_s:g}: shorter than one tick at {fleet.rate_hz:g} Hz")
+    if bool(config.path) == bool(config.flights):
+        raise BadExperiment(
+            f"world: {len(config.path)} legs of a path and {len(config.flights)} recorded flights, expected one of the "
+            f"two: [[world.path]] or [[world.flights]]"
+        )
+    if config.path:
+        Scenario(config.path, fleet)
+    else:
+        RecordedFlights(config.flights, config.flights_dir, fleet)
+    return config

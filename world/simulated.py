@@ -1,0 +1,50 @@
+"""Where are the MAVs when physics and autopilots fly the scripted path, and what does their odometry read?"""
+
+import math
+
+import numpy as np
+
+from agent.interface.fleet import Fleet
+from agent.interface.seeds import generator
+from world.autopilot import Autopilot
+from world.config import WorldConfig
+from world.physics import Physics
+from world.poses import Poses
+from world.scenario import Scenario
+from world.vio import Vio
+
+MAX_STEP_S = 0.005  # of physics and autopilot
+
+
+class SimulatedFlight:
+    """A source of motion: `true` and `vio` are the poses of this tick, `step` goes on to the next."""
+
+    def __init__(self, config: WorldConfig, fleet: Fleet) -> None:
+        self._scenario = Scenario(config.path, fleet)
+        random_yaw = generator(fleet.seed, "start_yaw").uniform(-np.pi, np.pi, fleet.mavs)
+        self._yaw = random_yaw if config.start_yaw == "random" else np.zeros(fleet.mavs)
+        self._steps_per_tick = math.ceil(1 / (fleet.rate_hz * MAX_STEP_S) - 1e-9)
+        self._step_s = 1 / (fleet.rate_hz * self._steps_per_tick)
+        self._steps = 0
+        self._physics = Physics(np.column_stack([self._scenario.start, self._yaw]), self._step_s)
+        self._autopilot = Autopilot(self._physics.airframe)
+        self.true = self._poses()
+        self._vio = Vio(config.odometry, fleet, self.true)
+        self.pose_world_odom = self._vio.pose_world_odom
+
+    @property
+    def vio(self) -> Poses:
+        """In each MAV's odometry frame."""
+        return self._vio.poses
+
+    def step(self) -> None:
+        for _ in range(self._steps_per_tick):
+            wanted = self._scenario.setpoints(self._steps * self._step_s, self._yaw)
+            self._physics.step(self._autopilot.commands(self._physics.state, wanted))
+            self._steps += 1
+        self.true = self._poses()
+        self._vio.advance(self.true)
+
+    def _poses(self) -> Poses:
+        state = self._physics.state
+        return Poses(state.position.copy(), state.quaternion_wxyz[:, [1, 2, 3, 0]])

@@ -1,0 +1,196 @@
+"""How does a run go? Tick by tick: publish what the sensors read and what is true, step, wait for the answers."""
+
+import logging
+from typing import Protocol
+
+import numpy as np
+
+from agent.interface import clock, messages, topics
+from agent.interface.bus import Bus, Packet
+from agent.interface.fleet import Fleet
+from agent.interface.frames import Array, relative_pose
+from agent.interface.seeds import generator
+from world.config import Survey, WorldConfig
+from world.detector import Detectors
+from world.poses import Poses
+from world.recorded import RecordedFlights
+
+SENDER = 0  # the world among the MAVs 1..N
+
+log = logging.getLogger("world")
+
+
+class Motion(Protocol):
+    """Where the MAVs are: simulated or recorded, never asked which."""
+
+    pose_world_odom: Array  # (N, 4) x y z m, yaw rad: where each MAV's odometry frame is at tick 0
+
+    @property
+    def true(self) -> Poses:
+        """This tick's, in the world frame."""
+
+    @property
+    def vio(self) -> Poses:
+        """This tick's, each in its MAV's odometry frame."""
+
+    def step(self) -> None:
+        """On to the next tick."""
+
+
+class World:
+    """One run. Call begin, then publish_tick and step in turn until it is finished, then end."""
+
+    def __init__(self, config: WorldConfig, fleet: Fleet, epoch: int, bus: Bus) -> None:
+        """
+        Raises:
+            BadExperiment: the path or the recordings cannot be flown.
+        """
+        self._config, self._fleet, self._epoch, self._bus = config, fleet, epoch, bus
+        self._motion: Motion = _motion(config, fleet)
+        self._detectors = Detectors(config.detector, fleet)
+        self._sets = self._detectors.detect(self._motion.true)
+        self._inbox = bus.subscribe(topics.all_keys(topics.COMMAND))
+        self._commander = {topics.key(topics.COMMAND, mav): mav for mav in fleet.ids}
+        self._keys = [
+            tuple(topics.key(topic, mav) for topic in (topics.TRUTH, topics.LABELS, topics.VIO, topics.SIGHTINGS))
+            for mav in fleet.ids
+        ]
+        self._tick = 0
+        self._unanswered: set[int] = set()
+        self._complained: set[str] = set()
+        self._answered_stamp_ns = -1
+        self._tick_us = 0
+        self.sent = self.sent_bytes = self.received = self.rejected = self.late = 0
+
+    @property
+    def finished(self) -> bool:
+        return self._tick >= self._fleet.ticks
+
+    def begin(self) -> None:
+        """Tells every agent, roughly, where the odometry frames are."""
+        if isinstance(self._config.survey, Survey):
+            for mav in self._fleet.ids:
+                self._publish(topics.key(topics.SURVEY, mav), self._survey(mav, self._config.survey))
+
+    def publish_tick(self) -> None:
+        """What every MAV's sensors read at this tick and, for deploy alone, what is true."""
+        began_us = clock.now_us()
+        tick, stamp_ns = self._tick, self._fleet.stamp_ns(self._tick)
+        header = (messages.VERSION, self._epoch, SENDER, tick, stamp_ns)
+        self._unanswered, self._answered_stamp_ns = set(self._fleet.ids), stamp_ns
+        true, vio = self._motion.true, self._motion.vio
+        for i, mav in enumerate(self._fleet.ids):
+            truth_key, labels_key, vio_key, sightings_key = self._keys[i]
+            p, q = true.position[i].tobytes(), true.quaternion[i].tobytes()
+            self._publish(truth_key, messages.Truth(*header, mav, p, q))
+            self._publish(labels_key, messages.Labels(*header, mav, self._sets[i].labels.tobytes()))
+            p, q = vio.position[i].tobytes(), vio.quaternion[i].tobytes()
+            self._publish(vio_key, messages.Vio(*header, p, q))
+            block = messages.spherical_block(self._sets[i].spherical)
+            self._publish(sightings_key, messages.Sightings(*header, block))
+        self._tick_us = clock.now_us() - began_us
+
+    def step(self) -> None:
+        """On to the next tick. What is flown does not depend on the agents' answers, so this may run before them."""
+        began_us = clock.now_us()
+        self._tick += 1
+        if not self.finished:
+            self._motion.step()
+            self._sets = self._detectors.detect(self._motion.true)
+        self._tick_us += clock.now_us() - began_us
+
+    def answered(self) -> bool:
+        """Whether every MAV has commanded something for the tick that was published last."""
+        self._receive(self._inbox.drain())
+        return not self._unanswered
+
+    def end(self) -> None:
+        """Says that it is over, and how many messages there should have been."""
+        last = max(self._tick - 1, 0)
+        header = (messages.VERSION, self._epoch, SENDER, 0, self._fleet.stamp_ns(last))
+        for mav in self._fleet.ids:
+            self._publish(topics.key(topics.END, mav), messages.End(*header))
+        self._publish(topics.key(topics.STATUS, SENDER), self._final_status(header))
+
+    def run_lockstep(self) -> None:
+        """As fast as the slowest agent answers."""
+        self.begin()
+        while not self.finished:
+            self.publish_tick()
+            self.step()
+            while not self.answered():
+                self._receive(self._inbox.wait(None))
+        self.end()
+
+    def run_realtime(self) -> None:
+        """By the wall clock, waiting for nobody."""
+        self.begin()
+        began_s, period_s = clock.now_s(), 1 / self._fleet.rate_hz
+        while not self.finished:
+            due_s = began_s + self._tick * period_s
+            clock.sleep_until(due_s)
+            self.late += clock.now_s() - due_s > period_s / 2
+            self.publish_tick()
+            self.step()
+            self.answered()
+        self.end()
+
+    def _publish(self, key: str, message: messages.Header) -> None:
+        payload = messages.encode(message)
+        self._bus.publish(key, payload)
+        self.sent += 1
+        self.sent_bytes += len(payload)
+
+    def _receive(self, packets: list[Packet]) -> None:
+        for key, payload in packets:
+            try:
+                setpoint = messages.decode(messages.Setpoint, payload, self._epoch)
+                if setpoint.sender != self._commander.get(key):
+                    raise messages.Rejected("sender", f"MAV {setpoint.sender} commands at {key}")
+            except messages.Rejected as why:
+                self.rejected += 1
+                if key not in self._complained:
+                    self._complained.add(key)
+                    log.warning("rejected a message at %s (further ones are only counted): %s", key, why)
+                continue
+            self.received += 1
+            if setpoint.stamp_ns == self._answered_stamp_ns:
+                self._unanswered.discard(setpoint.sender)
+
+    def _survey(self, mav: int, survey: Survey) -> messages.Survey:
+        """What this MAV is told: every odometry frame in its own, with noise; its own needs none."""
+        frames = self._motion.pose_world_odom
+        sigmas = np.array([survey.position_sigma_m] * 3 + [survey.yaw_sigma_rad])
+        noise = sigmas * generator(self._fleet.seed, f"survey/{mav}").standard_normal(frames.shape)
+        poses = relative_pose(frames[mav - 1], frames) + noise
+        poses[mav - 1] = 0
+        header = (messages.VERSION, self._epoch, SENDER, 0, 0)
+        return messages.Survey(*header, poses.tobytes(), survey.position_sigma_m, survey.yaw_sigma_rad)
+
+    def _final_status(self, header: tuple[int, int, int, int, int]) -> messages.Status:
+        """Its counters include itself, and a larger count may take a byte more: so the size is found by repeating."""
+        size = 0
+        while True:
+            status = messages.Status(
+                *header,
+                sent=self.sent + 1,
+                sent_bytes=self.sent_bytes + size,
+                received=self.received,
+                rejected=self.rejected,
+                late=self.late,
+                duplicate=0,
+                tick_us=self._tick_us,
+                station_us=(),
+                final=True,
+            )
+            if len(messages.encode(status)) == size:
+                return status
+            size = len(messages.encode(status))
+
+
+def _motion(config: WorldConfig, fleet: Fleet) -> Motion:
+    if config.flights:
+        return RecordedFlights(config.flights, config.flights_dir, fleet)
+    from world.simulated import SimulatedFlight  # here, because recorded flights need no MuJoCo
+
+    return SimulatedFlight(config, fleet)
