@@ -144,6 +144,7 @@ class Agent:
             beliefs.states.tobytes(),
             beliefs.poses.tobytes(),
             covariances.tobytes(),
+            beliefs.start.tobytes(),
             beliefs.innovations,
             beliefs.innovations_inside,
         )

@@ -36,6 +36,7 @@ class Beliefs(NamedTuple):
     states: npt.NDArray[np.uint8]  # (N,) index into messages.STATES
     poses: Array  # (N, 4) x y z m, yaw rad
     covariances: Array  # (N, 4, 4)
+    start: Array  # (4,) where the station's odometry began: it has drifted off zero by what the VIO has
     innovations: int  # of detections associated this tick
     innovations_inside: int  # how many lie inside their own 95 % gate
     lost_mass: float  # largest share of hypothesis weight left out in one set
@@ -52,11 +53,11 @@ class Estimator:
             chi_square_quantile(f.P_G, 3) if f.gating else np.inf, f.hypothesis_evaluation, f.pruned_mass
         )
         self._gate_95 = chi_square_quantile(0.95, 3)
-        self._geometry = [DetectionGeometry(fleet.mavs, s) for s in fleet.ids]
+        self._geometry = [DetectionGeometry(fleet.mavs + 1, s) for s in fleet.ids]
         self._prior: tuple[Array, tuple[float, float]] | None = None
         self._state: State | None = None
-        self._readings = np.full((fleet.mavs, 4), np.nan)  # the last tick's odometry
-        self._increments = np.zeros((fleet.mavs, 4))
+        self._readings = np.full((fleet.mavs + 1, 4), np.nan)  # the last tick's odometry; the start's is zero
+        self._increments = np.zeros((fleet.mavs + 1, 4))
         self._begin_tick()
 
     def _begin_tick(self) -> None:
@@ -70,7 +71,8 @@ class Estimator:
     def predict(self, odometry: dict[int, Array]) -> None:
         """Moves the belief to this tick: readings (4,) x y z m, yaw rad in each MAV's odometry frame, by MAV."""
         self._begin_tick()
-        z = np.full((self._fleet.mavs, 4), np.nan)
+        z = np.full((self._fleet.mavs + 1, 4), np.nan)
+        z[-1] = 0.0
         for mav, reading in odometry.items():
             z[mav - 1] = reading
         if self._state is None:
@@ -83,7 +85,8 @@ class Estimator:
         """The first tick for which every reading is there makes the state."""
         if self._prior is not None and np.isfinite(z).all():
             self._readings = z
-            self._state = from_frames(self._prior[0], z, self._station, self._prior[1], self._sigma_odometry)
+            frames = np.vstack([self._prior[0], np.zeros(4)])
+            self._state = from_frames(frames, z, self._station, self._prior[1], self._sigma_odometry)
             self._take_moments()
 
     def _moved(self, state: State, z: Array) -> State:
@@ -135,20 +138,21 @@ class Estimator:
             poses, covariances = np.zeros((mavs, 4)), np.tile(np.eye(4) * 1e6, (mavs, 1, 1))
             states = np.full(mavs, SEARCHING, np.uint8)
             states[own] = LOCALISED
-            return Beliefs(states, poses, covariances, 0, 0, 0.0)
+            return Beliefs(states, poses, covariances, np.zeros(4), 0, 0, 0.0)
         if self._poses is not self._before.poses:
             self._state = _lifted(self._state, self._before, self._poses)
-        poses = self._poses.by_mav.copy()
+        poses = self._poses.by_body.copy()
         poses[:, 3] = wrap(poses[:, 3])
         every = np.arange(mavs)
-        covariances = self._poses.Sigma.reshape(mavs, 4, mavs, 4)[every, :, every, :]
+        covariances = self._poses.Sigma.reshape(mavs + 1, 4, mavs + 1, 4)[every, :, every, :]
         variances = covariances[:, range(4), range(4)]
         known = (variances[:, :3].max(1) < self._config.localised_sigma_m**2) & (
             variances[:, 3] < self._config.localised_sigma_rad**2
         )
         states = np.where(known, LOCALISED, SEARCHING).astype(np.uint8)
         states[own] = LOCALISED
-        return Beliefs(states, poses, covariances, self._innovations, self._inside, self._lost_mass)
+        counts = (self._innovations, self._inside, self._lost_mass)
+        return Beliefs(states, poses[:mavs], covariances, poses[mavs], *counts)
 
 
 def _lifted(state: State, before: PoseMoments, after: Poses) -> State:

@@ -82,25 +82,25 @@ def turned_vectors(theta: Array, q: Array, cov: Array) -> Turned:
 
 class PoseMoments(NamedTuple):
     poses: Poses
-    P_xy: Array  # (8N, 4N)
+    P_xy: Array  # (8B, 4B)
 
 
 def pose_moments(state: State) -> PoseMoments:
     """Moments of all poses in the common frame, from the state."""
-    s = state.by_mav
+    s = state.by_body
     B = poses_jacobian(state)
     if state.P[PSI_FRAME::8, PSI_FRAME::8].diagonal().max() <= LINEAR_YAW_VARIANCE:
         P_xy = state.P @ B.T
-        y = np.empty((state.mavs, 4))
+        y = np.empty((state.bodies, 4))
         y[:, :3] = rotate_z(s[:, PSI_FRAME], s[:, P_ODOM]) + s[:, P_FRAME]
         y[:, 3] = s[:, PSI]
         return PoseMoments(Poses(y.ravel(), B @ P_xy), P_xy)
-    mavs = state.mavs
-    entries = np.arange(8 * mavs).reshape(mavs, 8)
+    bodies = state.bodies
+    entries = np.arange(8 * bodies).reshape(bodies, 8)
     arm = entries[:, (0, 1, 2, PSI_FRAME)].ravel()
     turned = turned_vectors(s[:, PSI_FRAME], s[:, P_ODOM], state.P[np.ix_(arm, arm)])
-    blocks = B.reshape(mavs, 4, mavs, 8)
-    every = range(mavs)
+    blocks = B.reshape(bodies, 4, bodies, 8)
+    every = range(bodies)
     blocks[every, 0, every, 0] = blocks[every, 1, every, 1] = turned.factor.real
     blocks[every, 1, every, 0], blocks[every, 0, every, 1] = turned.factor.imag, -turned.factor.imag
     blocks[every, 0, every, PSI_FRAME] = turned.derivative.real
@@ -108,14 +108,14 @@ def pose_moments(state: State) -> PoseMoments:
     P_xy = state.P @ B.T
     y = np.column_stack([turned.mean + s[:, P_FRAME], s[:, PSI]])
     # cov(y) = the turned arms' exact covariance + what involves the rest, which enters linearly
-    rest = np.zeros((mavs, 4, 8 * mavs))
+    rest = np.zeros((bodies, 4, 8 * bodies))
     rest[every, 0, entries[:, 4]] = rest[every, 1, entries[:, 5]] = rest[every, 2, entries[:, 6]] = 1.0
     rest[every, 3, entries[:, PSI]] = 1.0
-    linear = rest.reshape(4 * mavs, 8 * mavs)
+    linear = rest.reshape(4 * bodies, 8 * bodies)
     arms = B - linear
     cross = arms @ state.P @ linear.T
     Sigma = linear @ state.P @ linear.T + cross + cross.T
-    Sigma.reshape(mavs, 4, mavs, 4)[:, :3, :, :3] += turned.cov.reshape(mavs, 3, mavs, 3)
+    Sigma.reshape(bodies, 4, bodies, 4)[:, :3, :, :3] += turned.cov.reshape(bodies, 3, bodies, 3)
     return PoseMoments(Poses(y.ravel(), Sigma), P_xy)
 
 
@@ -124,27 +124,27 @@ class DetectionMoments(NamedTuple):
 
     z_hat: Array  # (L, 3) m
     P_zz: Array  # (3L, 3L) m^2, without sensor noise
-    P_yz: Array  # (4N, 3L)
+    P_yz: Array  # (4B, 3L)
 
 
 class DetectionGeometry:
-    """The constant part of H for one station and its targets, kept from tick to tick."""
+    """The constant part of H for one station and its targets, kept from tick to tick; the last body is nobody's."""
 
-    def __init__(self, mavs: int, station: int) -> None:
+    def __init__(self, bodies: int, station: int) -> None:
         self.own = station - 1
-        self.targets = np.array([j for j in range(mavs) if j != self.own], dtype=np.intp)
+        self.targets = np.array([j for j in range(bodies - 1) if j != self.own], dtype=np.intp)
         self.yaw_row = 4 * self.own + 3
-        Ht = np.zeros((mavs, 4, len(self.targets), 3))
+        Ht = np.zeros((bodies, 4, len(self.targets), 3))
         for column, j in enumerate(self.targets):
             Ht[j, :3, column] = np.eye(3)
             Ht[self.own, :3, column] = -np.eye(3)
-        self.Ht = Ht.reshape(4 * mavs, 3 * len(self.targets))  # H transposed; its yaw row is rewritten at each use
+        self.Ht = Ht.reshape(4 * bodies, 3 * len(self.targets))  # H transposed; its yaw row is rewritten at each use
 
 
 def detection_moments(poses: Poses, geometry: DetectionGeometry) -> DetectionMoments:
     """Moments for the targets of this station."""
-    by_mav = poses.by_mav
-    lines = by_mav[geometry.targets, :3] - by_mav[geometry.own, :3]
+    by_body = poses.by_body
+    lines = by_body[geometry.targets, :3] - by_body[geometry.own, :3]
     if poses.Sigma[geometry.yaw_row, geometry.yaw_row] > LINEAR_YAW_VARIANCE:
         return _exact_detection_moments(poses, geometry, lines)
     Ht = geometry.Ht
@@ -157,13 +157,13 @@ def detection_moments(poses: Poses, geometry: DetectionGeometry) -> DetectionMom
 
 def _exact_detection_moments(poses: Poses, geometry: DetectionGeometry, lines: Array) -> DetectionMoments:
     """Every line of sight is turned by the same angle, minus the station's yaw error."""
-    n, mavs = len(lines), len(poses.y) // 4
-    select = np.zeros((n, 4, 4 * mavs))
+    n, bodies = len(lines), len(poses.y) // 4
+    select = np.zeros((n, 4, 4 * bodies))
     Ht = geometry.Ht.copy()
     Ht[geometry.yaw_row] = 0.0
-    select[:, :3] = Ht.T.reshape(n, 3, 4 * mavs)
+    select[:, :3] = Ht.T.reshape(n, 3, 4 * bodies)
     select[:, 3, geometry.yaw_row] = -1.0
-    joint = select.reshape(4 * n, 4 * mavs)
+    joint = select.reshape(4 * n, 4 * bodies)
     turned = turned_vectors(np.zeros(n), lines, joint @ poses.Sigma @ joint.T)
     shrink = turned.factor.real
     Ht[:, 0::3] *= shrink

@@ -17,11 +17,11 @@ def update(state: State, odometry: Array, sigma: tuple[float, float]) -> State:
 
     Args:
         state: predicted to this tick.
-        odometry: (N, 4) x y z m, yaw rad of every MAV in its odometry frame; a row of NaN where there is none.
+        odometry: (B, 4) x y z m, yaw rad of every body in its odometry frame; a row of NaN where there is none.
         sigma: standard deviation of a reading, per axis m and rad.
     """
-    mavs = state.mavs
-    entries = 8 * np.arange(mavs)[:, None] + np.arange(4)
+    bodies = state.bodies
+    entries = 8 * np.arange(bodies)[:, None] + np.arange(4)
     present = np.isfinite(odometry[:, 3])
     rows, z = (entries, odometry) if present.all() else (entries[present], odometry[present])
     if not len(rows):

@@ -21,10 +21,10 @@ from agent.interface.frames import Array, rotate_z
 
 
 def drift_input(state: State) -> Array:
-    """Gamma (8N, 4N): how the VIO noise [n (3), w] of every MAV enters the state."""
-    mavs, own, s = state.mavs, state.station - 1, state.by_mav
-    Gamma = np.zeros((mavs, 8, mavs, 4))
-    every = np.arange(mavs)
+    """Gamma (8B, 4B): how the VIO noise [n (3), w] of every body enters the state; the start has none of its own."""
+    bodies, own, s = state.bodies, state.station - 1, state.by_body
+    Gamma = np.zeros((bodies, 8, bodies, 4))
+    every = np.arange(bodies)
     turned = rotate_z(s[:, PSI_FRAME], s[:, P_ODOM])
     Gamma[every[:, None], (4, 5, 6), every[:, None], (0, 1, 2)] = 1.0
     Gamma[every, PSI, every, 3] = 1.0
@@ -39,7 +39,8 @@ def drift_input(state: State) -> Array:
     Gamma[:, 4, own, 3] = -arm[:, 1]
     Gamma[:, 5, own, 3] = arm[:, 0]
     Gamma[own] = 0.0  # the gauge
-    return Gamma.reshape(8 * mavs, 4 * mavs)
+    Gamma[:, :, -1] = 0.0
+    return Gamma.reshape(8 * bodies, 4 * bodies)
 
 
 def predict(
@@ -49,21 +50,21 @@ def predict(
 
     Args:
         state: at the last tick.
-        increments: (N, 4) of every odometry pose since then, in its odometry frame: m, and rad of yaw.
-        input_sigma: (N, 2) standard deviation of an increment, per axis m and rad: white noise of the readings, or
+        increments: (B, 4) of every odometry pose since then, in its odometry frame: m, and rad of yaw.
+        input_sigma: (B, 2) standard deviation of an increment, per axis m and rad: white noise of the readings, or
             what a MAV whose odometry is missing may have done meanwhile.
         drift_sigma: standard deviation of VIO drift per update, per axis m and rad.
         updates: how many VIO updates the tick holds.
     """
-    mavs = state.mavs
+    bodies = state.bodies
     x, P = state.x.copy(), state.P.copy()
-    by_mav = x.reshape(mavs, 8)
+    by_mav = x.reshape(bodies, 8)
     by_mav[:, P_ODOM] += increments[:, :3]
     by_mav[:, PSI] += increments[:, 3]
-    Gamma = drift_input(state) * np.tile(np.repeat(drift_sigma, (3, 1)), mavs)
+    Gamma = drift_input(state) * np.tile(np.repeat(drift_sigma, (3, 1)), bodies)
     P += updates * (Gamma @ Gamma.T)
-    diagonal = np.zeros((mavs, 8))
+    diagonal = np.zeros((bodies, 8))
     diagonal[:, P_ODOM] = input_sigma[:, :1] ** 2
     diagonal[:, PSI] = input_sigma[:, 1] ** 2
-    P.ravel()[:: 8 * mavs + 1] += diagonal.ravel()
+    P.ravel()[:: 8 * bodies + 1] += diagonal.ravel()
     return State(x, P, state.station)

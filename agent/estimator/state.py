@@ -5,7 +5,13 @@ Per MAV i, 8 numbers in the common frame, which is the odometry frame f_s of the
     x_i = [ p_odom_body (3) | psi_common_body | p_common_odom (3) | psi_common_odom ]
 
 (the paper, Sec. IV-A; its "7N" is a slip: 3 + 1 + 3 + 1). The gauge is pinned: the frame entries of s itself are
-zero, with zero variance. Detections depend on the 4 numbers of every MAV's pose in the common frame only,
+zero, with zero variance, so yaws are relative to s and stay certain enough to linearise, however long the flight.
+
+Since f_s drifts, "where s began" moves in it. That place is kept as one more row, the *start*: a body that never moves
+and is never seen. It is correlated with everybody else through the drift of s, so what the detections tell of that
+drift corrects it too, and absolute poses profit from everybody's odometry, not from that of s alone.
+
+Detections depend on the 4 numbers of every MAV's pose in the common frame only,
 
     y_i = [ p_common_body (3) | psi_common_body ],     p_common_body = Rz(psi_common_odom) p_odom_body + p_common_odom
 
@@ -24,32 +30,33 @@ P_ODOM, PSI, P_FRAME, PSI_FRAME = slice(0, 3), 3, slice(4, 7), 7  # of the 8 ent
 
 @dataclass
 class State:
-    """Mean x (8N,) and covariance P (8N, 8N), m and rad, of MAVs 1..N seen by MAV `station` (index station - 1)."""
+    """Mean x (8B,) and covariance P (8B, 8B), m and rad, of the B bodies: MAVs 1..N (index 0..N-1) and the start of
+    MAV `station`, in whose odometry frame they are seen."""
 
     x: Array
     P: Array
     station: int
 
     @property
-    def mavs(self) -> int:
+    def bodies(self) -> int:
         return len(self.x) // 8
 
     @property
-    def by_mav(self) -> Array:
-        """A view of x, (N, 8)."""
+    def by_body(self) -> Array:
+        """A view of x, (B, 8)."""
         return self.x.reshape(-1, 8)
 
 
 @dataclass
 class Poses:
-    """Mean y (4N,) and covariance Sigma (4N, 4N) of all current poses in the common frame."""
+    """Mean y (4B,) and covariance Sigma (4B, 4B) of all current poses in the common frame."""
 
     y: Array
     Sigma: Array
 
     @property
-    def by_mav(self) -> Array:
-        """A view of y, (N, 4)."""
+    def by_body(self) -> Array:
+        """A view of y, (B, 4)."""
         return self.y.reshape(-1, 4)
 
 
@@ -59,44 +66,46 @@ def from_frames(
     """The state that a prior on the odometry frames makes.
 
     Args:
-        frames: (N, 4) x y z m, yaw rad of every odometry frame in the common frame.
-        odometry: (N, 4) the odometry readings for which the state is wanted.
+        frames: (B, 4) x y z m, yaw rad of every body's odometry frame in the common frame; zero for the start.
+        odometry: (B, 4) the odometry readings for which the state is wanted; zero for the start.
         station: 1..N.
         sigma_frames: standard deviation of a frame's position (per axis, m) and yaw (rad).
         sigma_odometry: the same of an odometry reading.
     """
-    mavs, own = len(frames), station - 1
-    x = np.zeros((mavs, 8))
+    bodies, own = len(frames), station - 1
+    known = (own, bodies - 1)  # frames of the station and of its start
+    x = np.zeros((bodies, 8))
     x[:, P_ODOM] = odometry[:, :3]
     x[:, P_FRAME] = frames[:, :3]
     x[:, PSI_FRAME] = frames[:, 3]
     x[:, PSI] = frames[:, 3] + odometry[:, 3]
-    P = np.zeros((mavs, 8, mavs, 8))
-    for i in range(mavs):
+    P = np.zeros((bodies, 8, bodies, 8))
+    for i in range(bodies):
         P[i, :, i, :] = np.diag([sigma_odometry[0] ** 2] * 3 + [0.0] + [sigma_frames[0] ** 2] * 3 + [0.0])
         for a, b in ((PSI, PSI), (PSI, PSI_FRAME), (PSI_FRAME, PSI), (PSI_FRAME, PSI_FRAME)):
             P[i, a, i, b] = sigma_frames[1] ** 2  # the body turns with its frame
         P[i, PSI, i, PSI] += sigma_odometry[1] ** 2
-    P[own, PSI, own, PSI] = sigma_odometry[1] ** 2
-    for pinned in (PSI_FRAME, P_FRAME):
-        x[own, pinned] = 0.0
-        P[own, pinned] = 0.0
-        P[:, :, own, pinned] = 0.0
-    x[own, PSI] = odometry[own, 3]
-    return State(x.ravel(), P.reshape(8 * mavs, 8 * mavs), station)
+    for body in known:
+        for pinned in (PSI_FRAME, P_FRAME):
+            x[body, pinned] = 0.0
+            P[body, pinned] = 0.0
+            P[:, :, body, pinned] = 0.0
+        P[body, PSI, body, PSI] = sigma_odometry[1] ** 2
+        x[body, PSI] = odometry[body, 3]
+    return State(x.ravel(), P.reshape(8 * bodies, 8 * bodies), station)
 
 
 def poses_jacobian(state: State) -> Array:
     """B (4N, 8N) = dy/dx at the mean."""
-    mavs, s = state.mavs, state.by_mav
+    bodies, s = state.bodies, state.by_body
     turned = rotate_z(s[:, PSI_FRAME], s[:, P_ODOM])
     c, sn = np.cos(s[:, PSI_FRAME]), np.sin(s[:, PSI_FRAME])
-    blocks = np.zeros((mavs, 4, 8))
+    blocks = np.zeros((bodies, 4, 8))
     blocks[:, 0, 0], blocks[:, 0, 1], blocks[:, 0, PSI_FRAME] = c, -sn, -turned[:, 1]
     blocks[:, 1, 0], blocks[:, 1, 1], blocks[:, 1, PSI_FRAME] = sn, c, turned[:, 0]
     blocks[:, 2, 2] = 1.0
     blocks[:, (0, 1, 2), (4, 5, 6)] = 1.0
     blocks[:, 3, PSI] = 1.0
-    B = np.zeros((mavs, 4, mavs, 8))
-    B[range(mavs), :, range(mavs), :] = blocks
-    return B.reshape(4 * mavs, 8 * mavs)
+    B = np.zeros((bodies, 4, bodies, 8))
+    B[range(bodies), :, range(bodies), :] = blocks
+    return B.reshape(4 * bodies, 8 * bodies)

@@ -18,18 +18,18 @@ from agent.interface.sensors import Detector
 
 
 class Pairs(NamedTuple):
-    """What the detector makes of every pair of MAVs at the poses of a tick, [station, target]."""
+    """What the detector makes of every pair of bodies at the poses of a tick, [station, target]."""
 
-    R: Array  # (N, N, 3, 3) m^2, common axes
-    P_D: Array  # (N, N)
+    R: Array  # (B, B, 3, 3) m^2, common axes
+    P_D: Array  # (B, B)
 
     @staticmethod
     def at(poses: Poses, detector: Detector) -> "Pairs":
-        by_mav = poses.by_mav
-        lines = by_mav[None, :, :3] - by_mav[:, None, :3]
+        by_body = poses.by_body
+        lines = by_body[None, :, :3] - by_body[:, None, :3]
         return Pairs(
             detection_model.noise_covariance(detector, lines),
-            detection_model.detection_probability(detector, lines, by_mav[:, None, 3]),
+            detection_model.detection_probability(detector, lines, by_body[:, None, 3]),
         )
 
 

@@ -97,6 +97,7 @@ class Estimate(Header, frozen=True):
     states: bytes  # uint8 (N,): index into STATES
     poses: bytes  # (N, 4): x y z m, yaw rad
     covariances: bytes  # float32 (N, 10): upper triangle of each pose's 4 x 4 covariance, row by row
+    start: bytes  # (4,): where that odometry began, which has moved in its frame as the VIO has drifted
     innovations: int  # of detections associated this tick
     innovations_inside: int  # how many of them lie inside their own 95 % gate
 
@@ -105,6 +106,7 @@ class Estimate(Header, frozen=True):
             raise ValueError("states: expected 0, 1 or 2")
         _expect_floats("poses", self.poses, 4 * len(self.states), limit=1e6)
         _expect_floats("covariances", self.covariances, 10 * len(self.states), dtype="<f4", limit=1e12)
+        _expect_floats("start", self.start, 4, limit=1e6)
 
 
 class Setpoint(Header, frozen=True):

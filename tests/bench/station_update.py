@@ -54,7 +54,7 @@ def updates(mavs: int, formation: str, wanted: int) -> list[Update]:
     """Station updates in flight whose sets hold as many detections as there are targets."""
     rng, found = np.random.default_rng(mavs), []
     estimator = Estimator(CONFIG, Fleet(mavs=mavs), station=1)
-    geometry = [DetectionGeometry(mavs, s) for s in range(1, mavs + 1)]
+    geometry = [DetectionGeometry(mavs + 1, s) for s in range(1, mavs + 1)]
     for k, tick in enumerate(team.PATHS[formation](rng, mavs, 100_000)):
         if k == 0:
             noise = np.column_stack([rng.normal(0, 0.2, (mavs, 3)), rng.normal(0, 0.1, mavs)])

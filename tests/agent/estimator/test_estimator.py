@@ -91,6 +91,27 @@ def test_every_station_believes_the_same():
     np.testing.assert_allclose(between[0], between[1], atol=0.1)
 
 
+@pytest.mark.statistical
+def test_absolute_poses_profit_from_everybodys_odometry():
+    """Of where it began, a station knows more than its own odometry tells it."""
+    ours, naive = [], []
+    for seed in range(12):
+        rng = np.random.default_rng([9, seed])
+        estimator = Estimator(AgentConfig(), Fleet(mavs=5), 1)
+        for k, tick in enumerate(team.circling(rng, 5, 150)):
+            if k == 0:
+                first = tick.truth
+                estimator.start(team.frames_in(first, 1), 0.2, 0.1)
+            estimator.predict(tick.odometry)
+            for i, spherical in tick.sets.items():
+                estimator.associate(i, spherical)
+            beliefs = estimator.finish()
+        true = relative_pose(first[0], tick.truth[0])
+        ours.append(np.sum((relative_pose(beliefs.start, beliefs.poses[0]) - true)[:3] ** 2))
+        naive.append(np.sum((tick.odometry[1] - true)[:3] ** 2))
+    assert np.sqrt(np.mean(ours)) < 0.7 * np.sqrt(np.mean(naive))
+
+
 def test_gating_and_evaluation_switched_off_give_nearly_the_same():
     full = msgspec.structs.replace(AgentConfig(), filter=Filter(gating=False, hypothesis_evaluation=False))
     fast, plain = fly(4, ticks=15)[2], fly(4, ticks=15, config=full)[2]

@@ -8,12 +8,12 @@ from agent.estimator.state import Poses, State, poses_jacobian
 from agent.interface.frames import rotate_z
 
 
-def random_state(rng, yaw_sigma, mavs=4):
-    P = rng.normal(size=(8 * mavs, 8 * mavs))
-    P = P @ P.T / (8 * mavs)
-    scale = np.tile([0.2, 0.2, 0.2, yaw_sigma, 0.3, 0.3, 0.3, yaw_sigma], mavs)
+def random_state(rng, yaw_sigma, bodies=4):
+    P = rng.normal(size=(8 * bodies, 8 * bodies))
+    P = P @ P.T / (8 * bodies)
+    scale = np.tile([0.2, 0.2, 0.2, yaw_sigma, 0.3, 0.3, 0.3, yaw_sigma], bodies)
     P = P * np.outer(scale, scale)
-    x = rng.normal(size=(mavs, 8)) * 2
+    x = rng.normal(size=(bodies, 8)) * 2
     return State(x.ravel(), P, station=1)
 
 
@@ -50,8 +50,8 @@ def test_pose_and_detection_moments_agree_with_monte_carlo():
 
     poses = Poses(moments.poses.y, moments.poses.Sigma)
     draws = rng.multivariate_normal(poses.y, poses.Sigma, 300_000).reshape(-1, 4, 4)
-    lines = draws[:, [0, 1, 3], :3] - draws[:, 2:3, :3]
-    h = rotate_z(-(draws[:, 2:3, 3] - poses.by_mav[2, 3]), lines).reshape(-1, 9)
+    lines = draws[:, [0, 1], :3] - draws[:, 2:3, :3]
+    h = rotate_z(-(draws[:, 2:3, 3] - poses.by_body[2, 3]), lines).reshape(-1, 6)
     detection = detection_moments(poses, DetectionGeometry(4, station=3))
     sampled = np.cov(h.T)
     assert np.abs(detection.P_zz - sampled).max() < 0.01 * np.abs(sampled).max()
@@ -67,8 +67,8 @@ def test_the_linear_form_is_close_where_it_takes_over(seed):
     assert state.P[7::8, 7::8].diagonal().max() <= 1e-3
     B = poses_jacobian(state)
     np.testing.assert_allclose(linear.poses.Sigma, B @ state.P @ B.T)
-    turned = turned_vectors(state.by_mav[:, 7], state.by_mav[:, :3], _arm_covariance(state))
-    arms = linear.poses.by_mav[:, :3] - state.by_mav[:, 4:7]
+    turned = turned_vectors(state.by_body[:, 7], state.by_body[:, :3], _arm_covariance(state))
+    arms = linear.poses.by_body[:, :3] - state.by_body[:, 4:7]
     np.testing.assert_allclose(arms, turned.mean, atol=2e-3)
 
 
