@@ -140,23 +140,36 @@ class ZenohInbox:
 
 
 class MemoryBus:
-    """The twin: one bus that all programs of one process share. Delivery is immediate and in order."""
+    """The twin: programs of one process, each with a bus of its own on one network.
 
-    def __init__(self) -> None:
-        self._inboxes: list[tuple[str, MemoryInbox]] = []
+    Delivery is immediate and in order; as with Zenoh, a program does not hear itself.
+    """
+
+    def __init__(self, network: "list[tuple[str, MemoryInbox]] | None" = None) -> None:
+        self._network = [] if network is None else network
+        self._own: list[MemoryInbox] = []
         self._routes: dict[str, list[MemoryInbox]] = {}
+        self._routed = 0  # how many subscriptions the routes know of
+
+    def another(self) -> "MemoryBus":
+        """The bus of one more program on the same network."""
+        return MemoryBus(self._network)
 
     def publish(self, key: str, payload: bytes) -> None:
+        if self._routed != len(self._network):
+            self._routes, self._routed = {}, len(self._network)
         inboxes = self._routes.get(key)
         if inboxes is None:
-            inboxes = self._routes[key] = [inbox for pattern, inbox in self._inboxes if _matches(pattern, key)]
+            inboxes = self._routes[key] = [
+                inbox for pattern, inbox in self._network if inbox not in self._own and _matches(pattern, key)
+            ]
         for inbox in inboxes:
             inbox.packets.append(Packet(key, payload))
 
     def subscribe(self, pattern: str) -> "MemoryInbox":
         inbox = MemoryInbox()
-        self._inboxes.append((pattern, inbox))
-        self._routes.clear()
+        self._own.append(inbox)
+        self._network.append((pattern, inbox))
         return inbox
 
 

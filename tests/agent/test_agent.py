@@ -19,8 +19,8 @@ class Rig:
 
     def __init__(self, seed=0, mavs=3, realtime=False, ticks=20, config=None):
         self.bus, self.fleet = MemoryBus(), Fleet(mavs=mavs, realtime=realtime)
-        self.agents = [Agent(config or AgentConfig(), self.fleet, i, EPOCH, self.bus) for i in self.fleet.ids]
-        self.out = self.bus.subscribe("**")
+        self.agents = [Agent(config or AgentConfig(), self.fleet, i, EPOCH, self.bus.another()) for i in self.fleet.ids]
+        self.out = self.bus.another().subscribe("**")
         self.ticks = list(team.circling(np.random.default_rng(seed), mavs, ticks))
         self.k = 0
 

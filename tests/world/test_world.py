@@ -41,7 +41,7 @@ def fly(fleet: Fleet = FLEET, **more: object) -> list[Packet]:
     """A whole run with agents that answer at once."""
     bus = MemoryBus()
     heard = bus.subscribe("**")
-    world = World(parse(TABLE | more, fleet), fleet, EPOCH, bus)
+    world = World(parse(TABLE | more, fleet), fleet, EPOCH, bus.another())
     world.begin()
     tick = 0
     while not world.finished:
@@ -168,7 +168,7 @@ def test_the_final_status_counts_every_message_itself_included() -> None:
 
 def test_only_the_setpoint_of_this_tick_and_of_its_owner_is_an_answer(caplog: pytest.LogCaptureFixture) -> None:
     bus = MemoryBus()
-    world = World(config(), FLEET, EPOCH, bus)
+    world = World(config(), FLEET, EPOCH, bus.another())
     world.publish_tick()
     world.step()
     world.publish_tick()

@@ -28,22 +28,25 @@ def meet(*buses):
         bus.await_alive([f"alive/{other.network.name}" for other in buses if other is not bus], 10)
 
 
-def test_memory_delivers_in_order_to_every_match():
-    bus = MemoryBus()
-    every, one, some = bus.subscribe("**"), bus.subscribe("air/1/odometry"), bus.subscribe("air/*/odometry")
+def test_memory_delivers_in_order_to_every_match_and_not_to_itself():
+    speaker = MemoryBus()
+    listener = speaker.another()
+    every, one, some = (listener.subscribe(p) for p in ("**", "air/1/odometry", "air/*/odometry"))
+    own = speaker.subscribe("**")
     for key in ("air/1/odometry", "air/2/odometry", "air/2/detections", "air"):
-        bus.publish(key, key.encode())
+        speaker.publish(key, key.encode())
     assert [p.key for p in every.drain()] == ["air/1/odometry", "air/2/odometry", "air/2/detections", "air"]
     assert one.drain() == [Packet("air/1/odometry", b"air/1/odometry")]
     assert [p.key for p in some.drain()] == ["air/1/odometry", "air/2/odometry"]
     assert one.wait(None) == []
+    assert own.drain() == []
 
 
 def test_memory_reaches_those_who_subscribe_later():
-    bus = MemoryBus()
-    bus.publish("a/1", b"")
-    later = bus.subscribe("a/*")
-    bus.publish("a/1", b"x")
+    speaker = MemoryBus()
+    speaker.publish("a/1", b"")
+    later = speaker.another().subscribe("a/*")
+    speaker.publish("a/1", b"x")
     assert later.drain() == [Packet("a/1", b"x")]
 
 
