@@ -1,0 +1,151 @@
+"""`swarm`: which experiment shall be flown, studied or scored again?"""
+
+import os
+
+# Before numpy is imported, here and in every child: several threads for 50 x 50 algebra only fight for the cores, and
+# how many there are would change the last bits of the results. This launcher is the place that sets up environments.
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+
+import argparse
+import re
+import sys
+from pathlib import Path
+
+from deploy.bundled import bundled
+
+FINE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+
+def main(words: list[str] | None = None) -> int:
+    """Exit status: 0 it did what was asked, 1 it failed, 2 bad input, 130 Ctrl-C."""
+    chosen = _parser().parse_args(words)
+    if chosen.command == "list":
+        for name, description in bundled().items():
+            print(f"{name:18} {description}")
+        return FINE
+    try:
+        return _do(chosen)
+    except KeyboardInterrupt:
+        return _complain("interrupted", INTERRUPTED)
+
+
+def _do(chosen: argparse.Namespace) -> int:
+    from agent.interface.tables import BadExperiment
+    from deploy.log import BadLog
+    from deploy.run import NothingRecorded
+
+    try:
+        return int(chosen.do(chosen))
+    except (BadExperiment, BadLog) as error:
+        return _complain(error, BAD_INPUT)
+    except NothingRecorded as error:
+        return _complain(error, FAILED)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="swarm", description="A swarm of MAVs that localises itself.")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    run = commands.add_parser("run", help="fly an experiment, record and score it")
+    _what(run)
+    run.add_argument("--seed", type=int, metavar="N", help="of every random number of the run")
+    run.add_argument("--realtime", action="store_true", help="paced by the wall clock and waiting for nobody")
+    run.add_argument("--in-process", action="store_true", help="everything in one process, without a network")
+    run.add_argument("--quiet", action="store_true", help="print nothing but the run folder")
+    run.set_defaults(do=_run)
+
+    study = commands.add_parser("study", help="many runs, in process: one table and plot")
+    _what(study)
+    study.add_argument("--seeds", required=True, metavar="A:B", help="A, A+1, ... B-1")
+    study.add_argument(
+        "--grid", action="append", default=[], metavar="PATH=V1,V2", help="a dimension of the grid (repeatable)"
+    )
+    study.add_argument("--jobs", type=int, metavar="J", help="side by side (default: one per core)")
+    study.set_defaults(do=_study)
+
+    score = commands.add_parser("score", help="metrics of a recorded run again, from the recording alone")
+    score.add_argument("folder", type=Path, metavar="DIR", help="a run folder")
+    score.set_defaults(do=_score)
+
+    commands.add_parser("list", help="the bundled experiments")
+    return parser
+
+
+def _what(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("experiment", metavar="EXPERIMENT", help="a bundled name (swarm list) or a TOML file")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="PATH=VALUE", help="override a key, as in agent.detector.P_D=0.8"
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="where the results go (default: runs/EXPERIMENT-TIME)")
+
+
+def _run(chosen: argparse.Namespace) -> int:
+    from deploy import terminal
+    from deploy.composition import check
+    from deploy.experiment import load
+    from deploy.run import folder_for, run
+
+    experiment = load(chosen.experiment, chosen.set, chosen.seed, chosen.realtime)
+    check(experiment, chosen.in_process)
+    folder = folder_for(experiment.name, chosen.out)
+    title = f"{experiment.name}, seed {experiment.fleet.seed}"
+    outcome, summary = run(experiment, folder, chosen.in_process, terminal.display(title, chosen.quiet))
+    if chosen.quiet:
+        print(folder)
+    elif summary is not None:
+        terminal.print_results(summary, folder)
+    if outcome.failure is not None:
+        return _complain(outcome.failure, FAILED)
+    if outcome.interrupted:
+        what = "what was recorded" if summary is not None else "nothing was recorded; what there is"
+        return _complain(f"interrupted; {what} is in {folder}", INTERRUPTED)
+    return FINE if summary is not None else _complain(f"{folder}: the run ended, but nothing was recorded", FAILED)
+
+
+def _study(chosen: argparse.Namespace) -> int:
+    from agent.interface.tables import BadExperiment
+    from deploy import report, study, summary, terminal
+    from deploy.experiment import load
+    from deploy.run import folder_for
+
+    bounds = re.fullmatch(r"(\d+):(\d+)", chosen.seeds)
+    seeds = range(int(bounds[1]), int(bounds[2])) if bounds else range(0)
+    if not seeds:
+        raise BadExperiment(f"--seeds {chosen.seeds}: expected A:B with B greater than A, as in 0:20")
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if chosen.jobs is not None and chosen.jobs < 1:
+        raise BadExperiment(f"--jobs {chosen.jobs}: expected 1 or more")
+    wanted = study.jobs(chosen.experiment, chosen.set, seeds, chosen.grid)
+    name = load(chosen.experiment, chosen.set).name
+    folder = folder_for(f"study-{name}", chosen.out)
+    done = study.run_all(wanted, min(chosen.jobs or cores, len(wanted)), terminal.counter(len(wanted)))
+    if done.summaries:
+        content = study.evaluate(done.summaries, name, f"seeds {seeds[0]} to {seeds[-1]}")
+        folder.mkdir(parents=True, exist_ok=True)
+        report.draw_study(content, folder / "study.png")
+        for cell in content["cells"]:
+            del cell["values"]  # they are in the runs
+        (folder / "study.json").write_text(summary.to_json(content))
+        terminal.print_study(content, folder)
+    for failure in done.failures:
+        _complain(failure, FAILED)
+    if done.interrupted:
+        return _complain(f"interrupted after {len(done.summaries)} of {len(wanted)} runs", INTERRUPTED)
+    return FAILED if done.failures else FINE
+
+
+def _score(chosen: argparse.Namespace) -> int:
+    from deploy import terminal
+    from deploy.run import score
+
+    terminal.print_results(score(chosen.folder), chosen.folder)
+    return FINE
+
+
+def _complain(what: object, status: int) -> int:
+    print(f"swarm: {what}", file=sys.stderr)
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,79 @@
+"""How is the run going? Per MAV the state of its estimate and its present error, from the messages that pass by.
+
+Cheap: it keeps the newest payloads and decodes them only when it is asked.
+"""
+
+from collections import deque
+
+import msgspec
+import numpy as np
+
+from agent.interface import messages, topics
+from agent.interface.bus import Packet
+from agent.interface.fleet import Fleet
+from agent.interface.frames import Array, relative_pose
+from agent.interface.messages import LOCALISED, floats
+from deploy import metrics
+from deploy.recording import pose_of
+
+KEPT = 4  # truths of the last ticks: estimates lag
+
+
+class MavProgress(msgspec.Struct, frozen=True):
+    id: int
+    state: str  # of the other MAV that it knows least about
+    localised: int  # how many other MAVs it calls localised
+    error_m: float | None  # root mean square, over the others, of the relative positions it believes; None: unknown
+
+
+class Progress(msgspec.Struct, frozen=True):
+    sim_s: float  # simulated time reached
+    of_s: float
+    mavs: tuple[MavProgress, ...]
+
+
+class Watch:
+    def __init__(self, fleet: Fleet, epoch: int) -> None:
+        self._fleet, self._epoch = fleet, epoch
+        self._truth_keys = {topics.key(topics.TRUTH, mav): mav for mav in fleet.ids}
+        self._estimate_keys = {topics.key(topics.ESTIMATE, mav): mav for mav in fleet.ids}
+        self._truths: dict[int, deque[bytes]] = {mav: deque(maxlen=KEPT) for mav in fleet.ids}
+        self._estimates: dict[int, bytes] = {}
+
+    def see(self, packet: Packet) -> None:
+        if (mav := self._truth_keys.get(packet.key)) is not None:
+            self._truths[mav].append(packet.payload)
+        elif (mav := self._estimate_keys.get(packet.key)) is not None:
+            self._estimates[mav] = packet.payload
+
+    def now(self) -> Progress:
+        truths: dict[int, Array] = {}  # by stamp, (N, 4)
+        for mav, payloads in self._truths.items():
+            for payload in payloads:
+                truth = self._decoded(messages.Truth, payload)
+                if truth is not None:
+                    pose = pose_of(np.concatenate([floats(truth.position), floats(truth.quaternion)]))
+                    truths.setdefault(truth.stamp_ns, np.full((self._fleet.mavs, 4), np.nan))[mav - 1] = pose
+        mavs = tuple(self._of(mav, truths) for mav in self._fleet.ids)
+        return Progress(max(truths, default=0) / 1e9, self._fleet.duration_s, mavs)
+
+    def _of(self, mav: int, truths: dict[int, Array]) -> MavProgress:
+        payload, N = self._estimates.get(mav), self._fleet.mavs
+        estimate = self._decoded(messages.Estimate, payload) if payload is not None else None
+        if estimate is None or len(estimate.states) != N:
+            return MavProgress(mav, messages.STATES[0], 0, None)
+        others = [state for j, state in enumerate(estimate.states) if j != mav - 1]
+        error_m = None
+        if (true := truths.get(estimate.stamp_ns)) is not None and len(others) > 0:
+            believed = floats(estimate.poses).reshape(N, 4)
+            error = relative_pose(believed[mav - 1], believed) - relative_pose(true[mav - 1], true)
+            value = metrics.rms(np.linalg.norm(np.delete(error, mav - 1, axis=0)[:, :3], axis=-1))
+            error_m = value if np.isfinite(value) else None
+        worst = min(others, default=LOCALISED)
+        return MavProgress(mav, messages.STATES[worst], others.count(LOCALISED), error_m)
+
+    def _decoded(self, kind: type[messages.M], payload: bytes) -> messages.M | None:
+        try:
+            return messages.decode(kind, payload, self._epoch)
+        except messages.Rejected:
+            return None

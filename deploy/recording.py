@@ -1,0 +1,176 @@
+"""What happened in a run? The recorded messages as arrays by tick and MAV; what is missing is NaN.
+
+Index k is the tick, i the agent (the MAV with number i + 1), j whom it is about.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from agent.interface import messages, topics
+from agent.interface.bus import Packet
+from agent.interface.fleet import Fleet
+from agent.interface.frames import Array, yaw_of
+from agent.interface.messages import floats, read_spherical
+
+UPPER = np.triu_indices(4)
+UNKNOWN = 255  # no estimate of that tick
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What an agent was told at the start about where every odometry frame began."""
+
+    poses: Array  # (N, 4) in its own odometry frame
+    position_sigma_m: float
+    yaw_sigma_rad: float
+
+
+@dataclass(frozen=True)
+class Recording:
+    fleet: Fleet
+    time_s: Array  # (K,) simulated
+    truth: Array  # (K, N, 7) in world: x y z m, quaternion x y z w
+    vio: Array  # (K, N, 7) in each MAV's odometry frame: the same, as its driver gave it
+    odometry: Array  # (K, N, 4) in each MAV's odometry frame: x y z m, yaw rad, as it told its peers
+    states: npt.NDArray[np.uint8]  # (K, N, N) index into messages.STATES, or UNKNOWN
+    estimates: Array  # (K, N, N, 4) pose of j in i's odometry frame
+    covariances: Array  # (K, N, N, 4, 4) of those
+    innovations: Array  # (K, N, 2) how many detections were associated, how many of them inside their 95 % gate
+    tick_us: Array  # (K, N) what the tick cost agent i, wall time
+    station_us: list[tuple[int, ...]]  # what the station updates of each recorded agent's tick cost
+    detections: dict[tuple[int, int], Array]  # (tick, MAV number) -> (M, 3) range m, azimuth rad, elevation rad
+    labels: dict[tuple[int, int], npt.NDArray[np.int64]]  # (tick, MAV number) -> (M,) MAV number, 0 a false detection
+    surveys: dict[int, Survey]  # by MAV number
+    statuses: dict[int, messages.Status]  # the last one of each sender; 0 is the world
+    rejected: dict[str, int] = field(default_factory=dict)  # packets that are not messages of the run, by reason
+
+    @property
+    def ticks(self) -> int:
+        return len(self.time_s)
+
+    @property
+    def true_poses(self) -> Array:
+        """(K, N, 4) x y z m, yaw rad in world."""
+        return pose_of(self.truth)
+
+
+def pose_of(full: Array) -> Array:
+    """(..., 7) position and quaternion as (..., 4) x y z m, yaw rad."""
+    return np.concatenate([full[..., :3], yaw_of(full[..., 3:])[..., None]], axis=-1)
+
+
+def assemble(packets: Iterable[Packet], fleet: Fleet, epoch: int) -> Recording:
+    """The recording that these packets make; undecodable ones are counted, absent ones leave NaN."""
+    builder = _Builder(fleet, epoch)
+    for packet in packets:
+        try:
+            builder.add(packet)
+        except messages.Rejected as error:
+            builder.reject(str(error).partition(":")[0])
+    return builder.recording()
+
+
+class _Builder:
+    """Fills the arrays, message by message."""
+
+    def __init__(self, fleet: Fleet, epoch: int) -> None:
+        self.fleet, self.epoch, self.end = fleet, epoch, 0
+        K, N = fleet.ticks + 1, fleet.mavs  # whether the last stamp is the duration or the tick before does not matter
+        self.truth = np.full((K, N, 7), np.nan)
+        self.vio = np.full((K, N, 7), np.nan)
+        self.odometry = np.full((K, N, 4), np.nan)
+        self.states = np.full((K, N, N), UNKNOWN, np.uint8)
+        self.estimates = np.full((K, N, N, 4), np.nan)
+        self.covariances = np.full((K, N, N, 4, 4), np.nan)
+        self.innovations = np.full((K, N, 2), np.nan)
+        self.tick_us = np.full((K, N), np.nan)
+        self.station_us: list[tuple[int, ...]] = []
+        self.detections: dict[tuple[int, int], Array] = {}
+        self.labels: dict[tuple[int, int], npt.NDArray[np.int64]] = {}
+        self.surveys: dict[int, Survey] = {}
+        self.statuses: dict[int, messages.Status] = {}
+        self.rejected: dict[str, int] = {}
+
+    def add(self, packet: Packet) -> None:
+        topic, mav = topics.parse(packet.key)
+        if topic in (topics.SIGHTINGS, topics.COMMAND, topics.END):
+            return  # recorded, but no metric needs them
+        message = messages.decode(topic.kind, packet.payload, self.epoch)
+        if mav not in self.fleet.ids and topic is not topics.STATUS:
+            raise messages.Rejected("mav", f"{mav}, this run has 1 to {self.fleet.mavs}")
+        if isinstance(message, messages.Status):
+            self._add_status(message)
+        elif isinstance(message, messages.Survey):
+            poses = floats(message.poses).reshape(-1, 4)
+            self._expect(len(poses) == self.fleet.mavs, f"a survey of {len(poses)} MAVs")
+            self.surveys[mav] = Survey(poses, message.position_sigma_m, message.yaw_sigma_rad)
+        else:
+            self._add_sample(message, self._tick(message.stamp_ns), mav)
+
+    def _add_sample(self, message: messages.Header, k: int, mav: int) -> None:
+        i, N = mav - 1, self.fleet.mavs
+        match message:
+            case messages.Truth():
+                self.truth[k, i] = np.concatenate([floats(message.position), floats(message.quaternion)])
+                self.end = max(self.end, k + 1)
+            case messages.Vio():
+                self.vio[k, i] = np.concatenate([floats(message.position), floats(message.quaternion)])
+            case messages.Odometry():
+                self.odometry[k, i] = floats(message.pose)
+            case messages.Detections():
+                self.detections[k, mav] = read_spherical(message.spherical)
+            case messages.Labels():
+                self.labels[k, mav] = np.frombuffer(message.targets, np.uint8).astype(np.int64)
+            case messages.Estimate():
+                self._expect(len(message.states) == N, f"an estimate of {len(message.states)} MAVs")
+                self.states[k, i] = np.frombuffer(message.states, np.uint8)
+                self.estimates[k, i] = floats(message.poses).reshape(N, 4)
+                upper = np.frombuffer(message.covariances, "<f4").reshape(N, 10)
+                self.covariances[k, i][:, UPPER[0], UPPER[1]] = upper
+                self.covariances[k, i][:, UPPER[1], UPPER[0]] = upper
+                self.innovations[k, i] = message.innovations, message.innovations_inside
+
+    def _add_status(self, status: messages.Status) -> None:
+        before = self.statuses.get(status.sender)
+        if before is None or status.seq > before.seq:
+            self.statuses[status.sender] = status
+        if status.sender in self.fleet.ids and not status.final:
+            self.tick_us[self._tick(status.stamp_ns), status.sender - 1] = status.tick_us
+            if status.station_us:
+                self.station_us.append(status.station_us)
+
+    def _tick(self, stamp_ns: int) -> int:
+        k = round(stamp_ns * self.fleet.rate_hz / 1e9)
+        self._expect(0 <= k <= self.fleet.ticks, f"a message of {stamp_ns} ns in {self.fleet.duration_s} s")
+        return k
+
+    def _expect(self, holds: bool, found: str) -> None:
+        if not holds:
+            raise messages.Rejected("unexpected", found)
+
+    def reject(self, reason: str) -> None:
+        self.rejected[reason] = self.rejected.get(reason, 0) + 1
+
+    def recording(self) -> Recording:
+        K = self.end  # the world decides how long the run was
+        return Recording(
+            fleet=self.fleet,
+            time_s=np.array([self.fleet.stamp_ns(k) / 1e9 for k in range(K)]),
+            truth=self.truth[:K],
+            vio=self.vio[:K],
+            odometry=self.odometry[:K],
+            states=self.states[:K],
+            estimates=self.estimates[:K],
+            covariances=self.covariances[:K],
+            innovations=self.innovations[:K],
+            tick_us=self.tick_us[:K],
+            station_us=self.station_us,
+            detections=self.detections,
+            labels=self.labels,
+            surveys=self.surveys,
+            statuses=self.statuses,
+            rejected=self.rejected,
+        )

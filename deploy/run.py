@@ -1,0 +1,136 @@
+"""What does `swarm run` do? It makes the run folder, flies, records, scores and writes everything down."""
+
+import contextlib
+import secrets
+import shutil
+import signal
+import tempfile
+import traceback
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+
+from agent.interface import clock
+from agent.interface.bus import Packet
+from agent.interface.tables import BadExperiment
+from deploy import fleet, supervisor
+from deploy.experiment import Experiment, from_text
+from deploy.log import BadLog, LogWriter, Origin, peek, read_log
+from deploy.progress import Progress, Watch
+from deploy.supervisor import Outcome
+from deploy.terminal import Display
+
+PROGRESS_S = 0.5
+
+
+class Result(NamedTuple):
+    outcome: Outcome
+    summary: dict[str, Any] | None  # None: nothing was recorded
+
+
+class NothingRecorded(Exception):
+    """The log holds no tick of the run."""
+
+
+def folder_for(experiment: str, out: Path | None) -> Path:
+    """Where the run goes: a directory that is not there yet, or empty; made only when the run begins.
+
+    Raises:
+        BadExperiment: there is something.
+    """
+    folder = Path("runs") / f"{experiment}-{clock.utc_text()}" if out is None else out
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise BadExperiment(f"--out {folder}: expected a directory that does not exist yet or is empty")
+    return folder
+
+
+def run(experiment: Experiment, folder: Path, in_process: bool, display: Display) -> Result:
+    """Flies a checked experiment; whatever was recorded is scored, however the run ended."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "logs").mkdir()
+    (folder / "experiment.toml").write_text(experiment.toml())
+    epoch = secrets.randbelow(2**31)
+    with display:
+        outcome = (_in_process if in_process else _processes)(experiment, folder, epoch, display)
+    display.say("scoring")
+    try:
+        return Result(outcome, score(folder))
+    except (NothingRecorded, BadLog):
+        return Result(outcome, None)
+
+
+def score(folder: Path) -> dict[str, Any]:
+    """Everything that a run folder tells, from its log.mcap alone: summary.json, errors.png and the trajectories.
+
+    Raises:
+        BadLog: there is no log.
+        BadExperiment: the experiment in it is not one for this version of the programs.
+        NothingRecorded: no tick of the run is in it.
+    """
+    from deploy import report, summary, tum
+    from deploy.clairvoyant import replay
+    from deploy.recording import assemble
+
+    log = read_log(folder / "log.mcap")
+    experiment = from_text(log.origin.experiment)
+    recording = assemble(log.packets, experiment.fleet, log.origin.epoch)
+    if not recording.ticks:
+        raise NothingRecorded(f"{folder / 'log.mcap'}: no tick of the run was recorded")
+    twin = replay(recording, experiment.agent)
+    analysis = summary.analyse(recording, twin.states, twin.estimates)
+    circumstances = summary.Circumstances(experiment.name, log.origin.transport, log.wall_s)
+    content = summary.summarise(analysis, circumstances)
+    (folder / "summary.json").write_text(summary.to_json(content))
+    tum.export(recording, folder)
+    report.draw_errors(analysis, experiment.name, folder / "errors.png")
+    return content
+
+
+def _processes(experiment: Experiment, folder: Path, epoch: int, display: Display) -> Outcome:
+    def show(line: bytes) -> None:
+        display.show(msgspec.json.decode(line, type=Progress))
+
+    with _sockets() as sockets:
+        table = fleet.processes(experiment.fleet, folder.resolve(), sockets, epoch)
+        return supervisor.run(table, folder / "logs", show)
+
+
+@contextlib.contextmanager
+def _sockets() -> Iterator[Path]:
+    directory = Path(tempfile.mkdtemp(prefix="swarm-"))
+    try:
+        yield directory
+    finally:
+        shutil.rmtree(directory)
+
+
+def _in_process(experiment: Experiment, folder: Path, epoch: int, display: Display) -> Outcome:
+    from deploy import composition
+
+    watch = Watch(experiment.fleet, epoch)
+    shown_s = clock.now_s()
+    with LogWriter(folder / "log.mcap", Origin(epoch, "memory", experiment.toml())) as writer:
+
+        def record(packets: list[Packet]) -> None:
+            nonlocal shown_s
+            for packet in packets:
+                writer.write(packet, peek(packet.payload))
+                watch.see(packet)
+            if clock.now_s() - shown_s > PROGRESS_S:
+                shown_s = clock.now_s()
+                display.show(watch.now())
+
+        before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+        try:
+            composition.fly(experiment, epoch, record)
+        except KeyboardInterrupt:
+            return Outcome(interrupted=True)
+        except Exception as error:  # as a process that fails: its last words, and where the others are
+            (folder / "logs" / "run.txt").write_text(traceback.format_exc())
+            last = f"{type(error).__name__}: {error}"
+            return Outcome(failure=f"the run broke off: {last} (log: {folder / 'logs' / 'run.txt'})")
+        finally:
+            signal.signal(signal.SIGTERM, before)
+    return Outcome()

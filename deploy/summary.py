@@ -1,0 +1,147 @@
+"""What goes into summary.json? Every figure of a run, from its recording alone."""
+
+import json
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from agent.interface.frames import Array
+from agent.interface.messages import STATES
+from deploy import metrics
+from deploy.metrics import Errors, Mask, Score
+from deploy.recording import Recording
+
+
+class Course(NamedTuple):
+    """How the errors of one way of localising went over the run, and where they are scored."""
+
+    relative: Errors
+    absolute: Errors
+    known: Mask  # (K, N, N) from when j is called localised on
+    scored: Mask  # (K, N, N) a little later
+
+    def scores(self, time_s: Array) -> dict[str, Score]:
+        return {name: metrics.score(getattr(self, name), self.scored, time_s) for name in ("relative", "absolute")}
+
+
+class Analysis(NamedTuple):
+    """What the summary and the figures are made of."""
+
+    recording: Recording
+    ours: Course
+    naive: Course
+    clairvoyant: Course
+    nees: Array  # (K, N, N)
+
+
+def analyse(recording: Recording, twin_states: metrics.States, twin_estimates: Array) -> Analysis:
+    """Errors of the recording's estimates, of the naive baseline and of the clairvoyant twin."""
+    true_poses, time_s = recording.true_poses, recording.time_s
+    origins = metrics.odometry_origins(true_poses, recording.odometry)
+    true_absolute = metrics.absolute_from_world(origins, true_poses)
+    true_relative = metrics.relative_from_absolute(true_absolute)
+
+    def course(estimated: Array, since_s: Array) -> Course:
+        relative = metrics.errors(metrics.relative_from_absolute(estimated), true_relative)
+        known, scored = time_s[:, None, None] >= since_s, metrics.settled(since_s, time_s)
+        return Course(relative, metrics.errors(estimated, true_absolute), known, scored)
+
+    always = np.full(recording.states.shape[1:], -np.inf)
+    return Analysis(
+        recording=recording,
+        ours=course(recording.estimates, metrics.localised_since(recording.states, time_s)),
+        naive=course(metrics.naive_absolute(origins, recording.odometry), always),
+        clairvoyant=course(twin_estimates, metrics.localised_since(twin_states, time_s)),
+        nees=metrics.nees(recording.estimates, recording.covariances, true_relative),
+    )
+
+
+class Circumstances(NamedTuple):
+    """What the recording does not say of itself."""
+
+    experiment: str
+    transport: str  # zenoh | memory
+    wall_s: float | None
+
+
+def summarise(analysis: Analysis, circumstances: Circumstances) -> dict[str, Any]:
+    """The content of summary.json; what could not be measured is None."""
+    recording, fleet = analysis.recording, analysis.recording.fleet
+    time_s, wall_s = recording.time_s, circumstances.wall_s
+    sim_s = recording.ticks / fleet.rate_hz
+    baselines = {
+        name: {kind: score._asdict() for kind, score in course.scores(time_s).items()}
+        for name, course in (("naive", analysis.naive), ("clairvoyant", analysis.clairvoyant))
+    }
+    summary = {
+        "experiment": circumstances.experiment,
+        "seed": fleet.seed,
+        "mode": "realtime" if fleet.realtime else "lockstep",
+        "transport": circumstances.transport,
+        "agents": fleet.mavs,
+        "ticks": recording.ticks,
+        "sim_s": sim_s,
+        "wall_s": wall_s,
+        "real_time_factor": sim_s / wall_s if wall_s else None,
+        **{kind: score._asdict() for kind, score in analysis.ours.scores(time_s).items()},
+        **baselines,
+        "anees": metrics.anees(analysis.nees, analysis.ours.scored),
+        "nis_inside": metrics.nis_inside(recording.innovations),
+        "disagreement_m": metrics.disagreement_m(recording.estimates, recording.states),
+        "estimator_ms": _estimator_ms(recording),
+        "network": _network(recording, sim_s),
+        "mavs": _mavs(analysis),
+    }
+    strict: dict[str, Any] = _strict(summary)
+    return strict
+
+
+def to_json(content: dict[str, Any]) -> str:
+    return json.dumps(content, indent=2, allow_nan=False) + "\n"
+
+
+def _estimator_ms(recording: Recording) -> dict[str, float]:
+    ticks = recording.tick_us[np.isfinite(recording.tick_us)]
+    stations = np.array([us for costs in recording.station_us for us in costs], float)
+    return {
+        f"{name}_p{percent}": float(np.percentile(values, percent)) / 1000 if len(values) else math.nan
+        for name, values in (("station", stations), ("tick", ticks))
+        for percent in (50, 99)
+    }
+
+
+def _network(recording: Recording, sim_s: float) -> dict[str, Any]:
+    """Sums over the agents' last words (the world's are not counted)."""
+    agents = [status for sender, status in recording.statuses.items() if sender > 0]
+    sums = {
+        name: sum(getattr(status, name) for status in agents)
+        for name in ("sent", "received", "rejected", "late", "duplicate")
+    }
+    rate = sum(status.sent_bytes for status in agents) / len(agents) / sim_s if agents and sim_s else math.nan
+    return {**sums, "dropped_by_faults": 0, "bytes_per_agent_s": rate}
+
+
+def _mavs(analysis: Analysis) -> list[dict[str, Any]]:
+    recording = analysis.recording
+    at_s = metrics.all_localised_at(recording.states, recording.time_s)
+    wrong = metrics.wrong_commits(analysis.ours.relative, recording.states)
+    return [
+        {
+            "id": mav,
+            "state": STATES[metrics.last_state(recording.states, mav - 1)],
+            "localised_at_s": float(at_s[mav - 1]),
+            "wrong_commits": int(wrong[mav - 1]),
+            "restarts": 0,
+        }
+        for mav in recording.fleet.ids
+    ]
+
+
+def _strict(value: Any) -> Any:
+    """JSON has no NaN and no infinity: None says that there is no such number."""
+    if isinstance(value, dict):
+        return {key: _strict(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_strict(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,35 @@
+"""Which trajectory files does a run leave? TUM format, as other tools read it: `t x y z qx qy qz qw`."""
+
+from pathlib import Path
+
+import numpy as np
+
+from agent.interface.frames import Array
+from deploy import metrics
+from deploy.recording import Recording
+
+
+def export(recording: Recording, folder: Path) -> None:
+    """Writes truth/, vio/ and estimate/agent_I/; an estimate begins when agent I first calls MAV J localised."""
+    since_s = metrics.localised_since(recording.states, recording.time_s)
+    for mav in recording.fleet.ids:
+        _write(folder / "truth" / f"mav_{mav}.tum", recording.time_s, recording.truth[:, mav - 1])
+        _write(folder / "vio" / f"mav_{mav}.tum", recording.time_s, recording.vio[:, mav - 1])
+    for agent in recording.fleet.ids:
+        for mav in recording.fleet.ids:
+            begun = recording.time_s >= since_s[agent - 1, mav - 1]
+            poses = with_quaternion(recording.estimates[begun, agent - 1, mav - 1])
+            _write(folder / "estimate" / f"agent_{agent}" / f"mav_{mav}.tum", recording.time_s[begun], poses)
+
+
+def with_quaternion(poses: Array) -> Array:
+    """(..., 4) x y z m, yaw rad as (..., 7) with the quaternion x y z w of a turn about z."""
+    half, level = poses[..., 3] / 2, np.zeros(poses.shape[:-1])
+    quaternion = np.stack([level, level, np.sin(half), np.cos(half)], axis=-1)
+    return np.concatenate([poses[..., :3], quaternion], axis=-1)
+
+
+def _write(path: Path, time_s: Array, poses: Array) -> None:
+    known = np.isfinite(poses).all(axis=-1)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.savetxt(path, np.column_stack([time_s, poses])[known], fmt="%.9f")

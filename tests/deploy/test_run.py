@@ -1,0 +1,172 @@
+"""What is in a run folder, and is it the same when the run is scored or flown again?"""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agent.interface.bus import Packet
+from deploy import composition, study
+from deploy.__main__ import main
+from deploy.experiment import Experiment, load
+from deploy.log import read_log
+from deploy.recording import assemble
+from deploy.run import run
+from deploy.supervisor import Outcome
+from deploy.terminal import Quiet
+from tests.deploy.conftest import SMALL, Flown
+
+SUMMARY = {
+    "experiment", "seed", "mode", "transport", "agents", "ticks", "sim_s", "wall_s", "real_time_factor", "relative",
+    "absolute", "naive", "clairvoyant", "anees", "nis_inside", "disagreement_m", "estimator_ms", "network", "mavs",
+}  # fmt: skip
+SCORE = {"rmse_m", "rmse_deg", "final_rmse_m", "final_rmse_deg", "max_m"}
+
+
+def test_the_folder_and_the_summary_are_as_the_contract_says(flown: Flown) -> None:
+    assert flown.result.outcome == Outcome()
+    names = {str(path.relative_to(flown.folder)) for path in flown.folder.rglob("*") if path.is_file()}
+    mavs = (1, 2, 3)
+    assert names == {"experiment.toml", "log.mcap", "summary.json", "errors.png"} | {
+        *(f"{kind}/mav_{mav}.tum" for kind in ("truth", "vio") for mav in mavs),
+        *(f"estimate/agent_{agent}/mav_{mav}.tum" for agent in mavs for mav in mavs),
+    }
+    summary = json.loads((flown.folder / "summary.json").read_text())
+    assert summary == flown.result.summary
+    assert summary.keys() == SUMMARY
+    for scores in (summary, summary["naive"], summary["clairvoyant"]):
+        assert scores["relative"].keys() == scores["absolute"].keys() == SCORE
+    assert summary["network"].keys() == {
+        "sent", "received", "rejected", "late", "duplicate", "dropped_by_faults", "bytes_per_agent_s",
+    }  # fmt: skip
+    assert summary["estimator_ms"].keys() == {"station_p50", "station_p99", "tick_p50", "tick_p99"}
+    assert [mav["id"] for mav in summary["mavs"]] == [1, 2, 3]
+    assert summary["mavs"][0].keys() == {"id", "state", "localised_at_s", "wrong_commits", "restarts"}
+    assert (summary["mode"], summary["transport"], summary["ticks"], summary["seed"]) == ("lockstep", "memory", 40, 5)
+
+
+def test_trajectories_are_tum(flown: Flown) -> None:
+    truth = np.loadtxt(flown.folder / "truth" / "mav_2.tum")
+    assert truth.shape == (40, 8)
+    np.testing.assert_allclose(truth[:, 0], np.arange(40) / 10)
+    np.testing.assert_allclose(np.linalg.norm(truth[:, 4:], axis=1), 1, atol=1e-6)
+    estimate = np.loadtxt(flown.folder / "estimate" / "agent_1" / "mav_2.tum")
+    assert (estimate[:, 4:6] == 0).all()
+    begun = flown.result.summary["mavs"][0]["localised_at_s"]  # type: ignore[index]
+    assert estimate[0, 0] <= begun
+
+
+def test_scoring_again_gives_the_same_from_the_log_alone(
+    flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "log.mcap").write_bytes((flown.folder / "log.mcap").read_bytes())
+    assert main(["score", str(tmp_path)]) == 0
+    assert "clairvoyant" in capsys.readouterr().out
+    assert (tmp_path / "summary.json").read_text() == (flown.folder / "summary.json").read_text()
+    for path in flown.folder.rglob("*.tum"):
+        assert (tmp_path / path.relative_to(flown.folder)).read_bytes() == path.read_bytes()
+
+
+def test_scoring_what_is_no_run_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["score", str(tmp_path)]) == 2
+    assert "No such file" in capsys.readouterr().err
+
+
+def test_half_a_log_is_scored_too(flown: Flown, tmp_path: Path) -> None:
+    whole = (flown.folder / "log.mcap").read_bytes()
+    (tmp_path / "log.mcap").write_bytes(whole[: len(whole) // 2])
+    status = main(["score", str(tmp_path)])
+    if status == 0:
+        assert json.loads((tmp_path / "summary.json").read_text())["wall_s"] is None
+    else:  # not even a chunk is there
+        assert status == 1
+        assert not (tmp_path / "summary.json").exists()
+
+
+def test_the_resolved_experiment_flown_again_gives_the_same_estimates(flown: Flown, tmp_path: Path) -> None:
+    again = load(str(flown.folder / "experiment.toml"))
+    assert again == flown.experiment
+    run(again, tmp_path / "again", True, Quiet())
+    first, second = (read_log(folder / "log.mcap") for folder in (flown.folder, tmp_path / "again"))
+    recordings = [assemble(log.packets, again.fleet, log.origin.epoch) for log in (first, second)]
+    assert recordings[0].estimates.tobytes() == recordings[1].estimates.tobytes()
+
+
+def timeless(summary: dict[str, Any]) -> dict[str, Any]:
+    """Without what the wall clock decides: costs, and by their number of digits the bytes of the messages with them."""
+    network = {key: value for key, value in summary["network"].items() if key != "bytes_per_agent_s"}
+    timed = ("wall_s", "real_time_factor", "estimator_ms", "network")
+    return {key: value for key, value in summary.items() if key not in timed} | {"network": network}
+
+
+def test_a_study_gives_the_same_numbers_with_one_and_with_two_processes(tmp_path: Path) -> None:
+    changes = [word for change in (*SMALL, "fleet.duration_s=2.5") for word in ("--set", change)]
+    words = ["study", "line", *changes, "--seeds", "5:7", "--grid", "agent.filter.gating=true,false"]
+    for jobs in (1, 2):
+        assert main([*words, "--jobs", str(jobs), "--out", str(tmp_path / str(jobs))]) == 0
+    one, two = (json.loads((tmp_path / jobs / "study.json").read_text()) for jobs in ("1", "2"))
+    assert one["cells"] == two["cells"]
+    assert [timeless(run) for run in one["runs"]] == [timeless(run) for run in two["runs"]]
+    assert [cell["grid"] for cell in one["cells"]] == [{"agent.filter.gating": on} for on in (True, False)]
+    cell = one["cells"][0]
+    assert cell["seeds"] == 2
+    assert cell["relative_rmse_m"]["low"] < cell["relative_rmse_m"]["mean"] < cell["relative_rmse_m"]["high"]
+    assert (tmp_path / "1" / "study.png").exists()
+
+
+def test_a_study_run_is_the_run(flown: Flown) -> None:
+    (job,) = study.jobs("line", list(SMALL), range(5, 6), [])
+    assert flown.result.summary is not None
+    assert timeless(study.run_one(job)) == timeless(flown.result.summary) | {"grid": {}}
+
+
+def test_a_run_that_fails_is_named_and_the_others_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    wanted = study.jobs("line", list(SMALL), range(5, 7), ["agent.detector.P_D=0.7"])
+
+    def run_one(job: study.Job) -> dict[str, int]:
+        if job.seed == 5:
+            raise RuntimeError("it broke")
+        return {"seed": job.seed}
+
+    monkeypatch.setattr(study, "run_one", run_one)
+    done = study.run_all(wanted, 1, lambda _: None)
+    assert done.failures == ["seed 5, agent.detector.P_D=0.7: RuntimeError: it broke"]
+    assert done.summaries == [{"seed": 6}]
+
+
+def test_the_interval_of_a_mean_is_students() -> None:
+    found = study.interval([1.0, None, 2.0, 3.0])
+    assert found["mean"] == 2.0
+    assert found["high"] == pytest.approx(2.0 + 4.302653 / np.sqrt(3))  # t of 2 degrees of freedom
+    assert study.interval([None]) == {"mean": None, "low": None, "high": None}
+    assert study.interval([4.0]) == {"mean": 4.0, "low": None, "high": None}
+
+
+def test_a_run_in_one_process_that_breaks_off_says_why_and_is_scored(
+    flown: Flown, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = composition.fly
+
+    def break_off(experiment: Experiment, epoch: int, record: Callable[[list[Packet]], None]) -> None:
+        ticks = 0
+
+        def record_some(packets: list[Packet]) -> None:
+            nonlocal ticks
+            ticks += 1
+            if ticks > 20:
+                raise ValueError("it broke")
+            record(packets)
+
+        before(experiment, epoch, record_some)
+
+    monkeypatch.setattr(composition, "fly", break_off)
+    outcome, summary = run(flown.experiment, tmp_path / "run", True, Quiet())
+    log = tmp_path / "run" / "logs" / "run.txt"
+    assert outcome.failure == f"the run broke off: ValueError: it broke (log: {log})"
+    assert "Traceback" in log.read_text()
+    assert summary is not None
+    assert summary["ticks"] == 20
+    assert summary["relative"]["rmse_m"] is None  # nothing to be scored within two seconds

@@ -1,0 +1,153 @@
+"""Does every process of a run end, whatever happens to it or to the launcher? With real processes and real signals."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import psutil
+import pytest
+
+from deploy import supervisor
+from deploy.fleet import Process
+from deploy.supervisor import Outcome
+
+# Tells its number, and that it is ready to be signalled.
+READY = "import os, signal, sys; print(os.getpid(), flush=True); "
+WAIT = READY + "signal.pause()"
+STUBBORN = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); " + READY + "\nwhile True: signal.pause()"
+NOTED = "import signal, sys; signal.signal(signal.SIGTERM, lambda *_: sys.exit(0)); " + WAIT
+
+
+def row(name: str, program: str, ends: str = "by itself") -> Process:
+    return Process(name, (sys.executable, "-S", "-c", program), ends, reports=True)  # type: ignore[arg-type]
+
+
+class Crew:
+    """Runs a table; `act` is called with the numbers of the processes once all are ready."""
+
+    def __init__(self, logs: Path) -> None:
+        self.logs, self.pids = logs, []
+        self._before = set(psutil.Process().children(recursive=True))  # multiprocessing may have its own
+
+    def run(self, *table: Process, act: Callable[[list[int]], None] = lambda _: None) -> Outcome:
+        def ready(line: bytes) -> None:
+            self.pids.append(int(line))
+            if len(self.pids) == len(table):
+                act(self.pids)
+
+        return supervisor.run(table, self.logs, ready)
+
+    def assert_none_left(self) -> None:
+        assert not [pid for pid in self.pids if psutil.pid_exists(pid)]
+        assert set(psutil.Process().children(recursive=True)) <= self._before
+
+
+@pytest.fixture
+def crew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Crew:
+    monkeypatch.setattr(supervisor, "STOP_S", 0.3)
+    monkeypatch.setattr(supervisor, "STOP_RECORDER_S", 0.3)
+    monkeypatch.setattr(supervisor, "TOGETHER_S", 0.2)
+    return Crew(tmp_path)
+
+
+def test_a_run_that_ends_by_itself_ends_well_and_then_the_recorder_is_told(crew: Crew) -> None:
+    last = "import signal, sys; signal.signal(signal.SIGTERM, lambda *_: (print(0, flush=True), sys.exit(0))); "
+    lines: list[bytes] = []
+    table = (row("recorder", last + WAIT, "when told"), row("world", READY), row("mav_1", READY))
+    outcome = supervisor.run(table, crew.logs, lines.append)
+    assert outcome == Outcome()
+    assert lines[-1] == b"0\n"  # after the others
+    assert len(lines) == 4
+    crew.assert_none_left()
+
+
+def test_children_do_their_algebra_in_one_thread(crew: Crew) -> None:
+    program = "import os; print(os.environ['OPENBLAS_NUM_THREADS'], flush=True)"
+    lines: list[bytes] = []
+    supervisor.run((row("world", program),), crew.logs, lines.append)
+    assert lines == [b"1\n"]
+
+
+def test_an_exit_status_ends_the_run_with_the_last_words(crew: Crew) -> None:
+    failing = READY + "sys.stderr.write('Traceback\\nValueError: it broke\\n\\n'); sys.exit(3)"
+    outcome = crew.run(row("recorder", NOTED, "when told"), row("world", WAIT), row("mav_1", failing))
+    log = crew.logs / "mav_1.txt"
+    assert outcome.failure == f"mav_1 ended early (exit status 3): ValueError: it broke (log: {log})"
+    crew.assert_none_left()
+
+
+def test_a_process_that_is_killed_ends_the_run(crew: Crew) -> None:
+    def kill(pids: list[int]) -> None:
+        os.kill(pids[1], signal.SIGKILL)
+
+    outcome = crew.run(row("world", WAIT), row("mav_1", WAIT), act=kill)
+    assert outcome.failure is not None
+    assert "ended early (killed by SIGKILL)" in outcome.failure
+    crew.assert_none_left()
+
+
+def test_a_recorder_that_ends_before_it_is_told_ends_the_run(crew: Crew) -> None:
+    outcome = crew.run(row("recorder", READY, "when told"), row("world", WAIT))
+    assert outcome.failure is not None
+    assert outcome.failure.startswith("recorder ended early (exit status 0)")
+    crew.assert_none_left()
+
+
+def test_one_that_leaves_the_others_waiting_is_named(crew: Crew) -> None:
+    outcome = crew.run(row("world", WAIT), row("mav_1", READY))
+    assert outcome.failure is not None
+    assert outcome.failure.startswith("mav_1 ended, but 0.2 s later these had not: world (log: ")
+    crew.assert_none_left()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_ends_all_also_those_that_do_not_heed_sigterm_or_are_frozen(crew: Crew, number: signal.Signals) -> None:
+    def interrupt(pids: list[int]) -> None:
+        os.kill(pids[-1], signal.SIGSTOP)
+        os.kill(os.getpid(), number)
+
+    table = (row("recorder", NOTED, "when told"), row("world", STUBBORN), row("mav_1", STUBBORN), row("mav_2", WAIT))
+    assert crew.run(*table, act=interrupt) == Outcome(interrupted=True)
+    crew.assert_none_left()
+
+
+def test_ctrl_c_while_processes_start_starts_no_more(crew: Crew) -> None:
+    """The first process interrupts the launcher itself, as early as it can."""
+    program = "import os, signal; os.kill(os.getppid(), signal.SIGINT); signal.pause()"
+    rows = [row("world", program), *(row(f"mav_{mav}", WAIT) for mav in range(1, 30))]
+    assert crew.run(*rows) == Outcome(interrupted=True)
+    crew.assert_none_left()
+
+
+def test_grandchildren_go_too(crew: Crew) -> None:
+    parent = (
+        f"import subprocess, sys, signal; subprocess.Popen([sys.executable, '-S', '-c', {STUBBORN!r}]); signal.pause()"
+    )
+
+    def interrupt(pids: list[int]) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+
+    assert crew.run(row("world", parent), act=interrupt) == Outcome(interrupted=True)
+    psutil.wait_procs([psutil.Process(pid) for pid in crew.pids if psutil.pid_exists(pid)], timeout=5)
+    crew.assert_none_left()
+
+
+def test_a_killed_launcher_takes_its_processes_with_it(tmp_path: Path) -> None:
+    program = f"""
+import sys
+from pathlib import Path
+from deploy import supervisor
+from tests.deploy.test_supervisor import STUBBORN, row
+table = (row("world", STUBBORN), row("mav_1", STUBBORN))
+supervisor.run(table, Path({str(tmp_path)!r}), lambda line: print(int(line), flush=True))
+"""
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as launcher:
+        assert launcher.stdout is not None
+        children = [psutil.Process(int(launcher.stdout.readline())) for _ in range(2)]
+        launcher.kill()
+    gone, alive = psutil.wait_procs(children, timeout=5)
+    assert len(gone) == 2
+    assert not alive
