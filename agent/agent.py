@@ -12,6 +12,7 @@ import numpy as np
 from agent.config import AgentConfig
 from agent.controller.hold import Hold
 from agent.estimator.estimator import Beliefs, Estimator
+from agent.estimator.joint_update import DetectionSet
 from agent.interface import clock, messages, topics
 from agent.interface.bus import Bus, Packet
 from agent.interface.fleet import Fleet
@@ -122,16 +123,18 @@ class Agent:
         tick = self._neighbours.take(stamp_ns)
         began_us = clock.now_us()
         self._estimator.predict(tick.odometry)
-        station_us = []
-        for station in self._stations:
-            if station in tick.detections and station in tick.odometry:
-                station_began_us = clock.now_us()
-                self._estimator.associate(station, tick.detections[station])
-                station_us.append(clock.now_us() - station_began_us)
+        sets = [
+            DetectionSet(station, tick.detections[station])
+            for station in self._stations
+            if station in tick.detections and station in tick.odometry
+        ]
+        sets_began_us = clock.now_us()
+        self._estimator.associate_all(sets)
+        station_us = (clock.now_us() - sets_began_us) // max(len(sets), 1)
         beliefs = self._estimator.finish()
         tick_us = clock.now_us() - began_us
         self._publish_estimate(stamp_ns, beliefs)
-        self._publish_status(stamp_ns, tick_us, tuple(station_us))
+        self._publish_status(stamp_ns, tick_us, (station_us,))
         self._publish_command(stamp_ns, tick.odometry[self._mav])
         return True
 
@@ -168,6 +171,7 @@ class Agent:
             neighbours.duplicate,
             tick_us,
             station_us,
+            0,  # ticks are the world's
             final,
         )
 

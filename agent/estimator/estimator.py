@@ -19,7 +19,8 @@ from scipy.linalg import lapack
 from agent.config import AgentConfig
 from agent.estimator import cpdaf, odometry_model
 from agent.estimator.gating import chi_square_quantile
-from agent.estimator.moments import DetectionGeometry, PoseMoments, pose_moments
+from agent.estimator.joint_update import DetectionSet, joint_update
+from agent.estimator.moments import LINEAR_YAW_VARIANCE, DetectionGeometry, PoseMoments, pose_moments
 from agent.estimator.prediction import predict
 from agent.estimator.state import Poses, State, from_frames
 from agent.estimator.station_update import Pairs, station_update
@@ -122,9 +123,24 @@ class Estimator:
         density = self._config.detector.clutter_density
         geometry = self._geometry[station - 1]
         self._poses, found = station_update(self._poses, geometry, self._pairs, spherical, density, self._rules, labels)
-        self._innovations += len(found.distances)
-        self._inside += int((found.distances <= self._gate_95).sum())
-        self._lost_mass = max(self._lost_mass, found.lost_mass)
+        self._count(found.distances, found.lost_mass)
+
+    def associate_all(self, sets: list[DetectionSet]) -> None:
+        """Updates with all detection sets of the tick: the unambiguous ones at once, the others in the given order."""
+        if self._state is None or self._fleet.mavs == 1:
+            return
+        left = sets
+        if self._rules.evaluation and self._poses.Sigma[3::4, 3::4].diagonal().max() <= LINEAR_YAW_VARIANCE:
+            density = self._config.detector.clutter_density
+            self._poses, left, distances, lost = joint_update(self._poses, self._pairs, sets, density, self._rules)
+            self._count(distances, lost)
+        for station, spherical, labels in left:
+            self.associate(station, spherical, labels)
+
+    def _count(self, distances: Array, lost_mass: float) -> None:
+        self._innovations += len(distances)
+        self._inside += int((distances <= self._gate_95).sum())
+        self._lost_mass = max(self._lost_mass, lost_mass)
 
     @property
     def poses(self) -> Poses:
@@ -163,4 +179,6 @@ def _lifted(state: State, before: PoseMoments, after: Poses) -> State:
     Gt, _ = lapack.dpotrs(factor, before.P_xy.T, lower=1)
     x = state.x + (after.y - before.poses.y) @ Gt
     P = state.P - Gt.T @ (Sigma - after.Sigma) @ Gt
-    return State(x, (P + P.T) / 2, state.station)
+    P += P.T
+    P *= 0.5
+    return State(x, P, state.station)

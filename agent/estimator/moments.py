@@ -91,9 +91,8 @@ def pose_moments(state: State) -> PoseMoments:
     B = poses_jacobian(state)
     if state.P[PSI_FRAME::8, PSI_FRAME::8].diagonal().max() <= LINEAR_YAW_VARIANCE:
         P_xy = state.P @ B.T
-        y = np.empty((state.bodies, 4))
+        y = s[:, :4].copy()
         y[:, :3] = rotate_z(s[:, PSI_FRAME], s[:, P_ODOM]) + s[:, P_FRAME]
-        y[:, 3] = s[:, PSI]
         return PoseMoments(Poses(y.ravel(), B @ P_xy), P_xy)
     bodies = state.bodies
     entries = np.arange(8 * bodies).reshape(bodies, 8)

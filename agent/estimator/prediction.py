@@ -14,38 +14,57 @@ odometry frame of the estimating MAV s, the drift of s moves every other MAV, fu
     p_common_odom += n_s + w_s J (p_s - p_common_odom),   psi_common_odom -= w_s,   psi_common_body -= w_s
 """
 
+from functools import lru_cache
+from typing import NamedTuple
+
 import numpy as np
+import numpy.typing as npt
 
 from agent.estimator.state import P_FRAME, P_ODOM, PSI, PSI_FRAME, State
 from agent.interface.frames import Array, rotate_z
 
 
+class _Drift(NamedTuple):
+    """What of Gamma is the same at every tick, and where (in the flattened array) the rest goes."""
+
+    constant: Array  # (8B, 4B)
+    own_yaw: npt.NDArray[np.intp]  # (2, D) x and y rows of the D drifting frames, column of their own yaw noise
+    station_yaw: npt.NDArray[np.intp]  # (2, B - 1) x and y rows of all but the station, column of its yaw noise
+    drifting: npt.NDArray[np.intp]  # (D,) the MAVs but the station
+    moved: npt.NDArray[np.intp]  # (B - 1,) all bodies but the station
+
+
+@lru_cache(maxsize=64)
+def _drift(bodies: int, own: int) -> _Drift:
+    moved = np.array([i for i in range(bodies) if i != own])
+    drifting = moved[:-1]
+    Gamma = np.zeros((bodies, 8, bodies, 4))
+    for i in drifting:
+        Gamma[i, (4, 5, 6), i, (0, 1, 2)] = 1.0
+        Gamma[i, (PSI, PSI_FRAME), i, 3] = 1.0
+    for i in moved:
+        Gamma[i, (4, 5, 6), own, (0, 1, 2)] = 1.0
+        Gamma[i, (PSI, PSI_FRAME), own, 3] = -1.0
+    entries = np.arange(Gamma.size).reshape(Gamma.shape)
+    own_yaw = np.array([entries[drifting, row, drifting, 3] for row in (4, 5)])
+    station_yaw = np.array([entries[moved, row, own, 3] for row in (4, 5)])
+    return _Drift(Gamma.reshape(8 * bodies, 4 * bodies), own_yaw, station_yaw, drifting, moved)
+
+
 def drift_input(state: State) -> Array:
     """Gamma (8B, 4B): how the VIO noise [n (3), w] of every body enters the state; the start has none of its own."""
-    bodies, own, s = state.bodies, state.station - 1, state.by_body
-    Gamma = np.zeros((bodies, 8, bodies, 4))
-    every = np.arange(bodies)
-    turned = rotate_z(s[:, PSI_FRAME], s[:, P_ODOM])
-    Gamma[every[:, None], (4, 5, 6), every[:, None], (0, 1, 2)] = 1.0
-    Gamma[every, PSI, every, 3] = 1.0
-    Gamma[every, PSI_FRAME, every, 3] = 1.0
-    Gamma[every, 4, every, 3] = turned[:, 1]
-    Gamma[every, 5, every, 3] = -turned[:, 0]
-    arm = s[own, P_ODOM] - s[:, P_FRAME]
-    Gamma[:, :, own, :] = 0.0
-    Gamma[:, (4, 5, 6), own, (0, 1, 2)] = 1.0
-    Gamma[:, PSI, own, 3] = -1.0
-    Gamma[:, PSI_FRAME, own, 3] = -1.0
-    Gamma[:, 4, own, 3] = -arm[:, 1]
-    Gamma[:, 5, own, 3] = arm[:, 0]
-    Gamma[own] = 0.0  # the gauge
-    Gamma[:, :, -1] = 0.0
-    return Gamma.reshape(8 * bodies, 4 * bodies)
+    own, s = state.station - 1, state.by_body
+    drift = _drift(state.bodies, own)
+    Gamma = drift.constant.copy()
+    flat = Gamma.ravel()
+    turned = rotate_z(s[drift.drifting, PSI_FRAME], s[drift.drifting, P_ODOM])
+    flat[drift.own_yaw] = turned[:, 1], -turned[:, 0]
+    arm = s[own, P_ODOM] - s[drift.moved, P_FRAME]
+    flat[drift.station_yaw] = -arm[:, 1], arm[:, 0]
+    return Gamma
 
 
-def predict(
-    state: State, increments: Array, input_sigma: Array, drift_sigma: tuple[float, float], updates: float = 1.0
-) -> State:
+def predict(state: State, increments: Array, input_sigma: Array, drift_sigma: tuple[float, float]) -> State:
     """The state one tick later.
 
     Args:
@@ -53,18 +72,19 @@ def predict(
         increments: (B, 4) of every odometry pose since then, in its odometry frame: m, and rad of yaw.
         input_sigma: (B, 2) standard deviation of an increment, per axis m and rad: white noise of the readings, or
             what a MAV whose odometry is missing may have done meanwhile.
-        drift_sigma: standard deviation of VIO drift per update, per axis m and rad.
-        updates: how many VIO updates the tick holds.
+        drift_sigma: standard deviation of VIO drift per tick, per axis m and rad.
     """
     bodies = state.bodies
-    x, P = state.x.copy(), state.P.copy()
-    by_mav = x.reshape(bodies, 8)
-    by_mav[:, P_ODOM] += increments[:, :3]
-    by_mav[:, PSI] += increments[:, 3]
-    Gamma = drift_input(state) * np.tile(np.repeat(drift_sigma, (3, 1)), bodies)
-    P += updates * (Gamma @ Gamma.T)
-    diagonal = np.zeros((bodies, 8))
-    diagonal[:, P_ODOM] = input_sigma[:, :1] ** 2
-    diagonal[:, PSI] = input_sigma[:, 1] ** 2
-    P.ravel()[:: 8 * bodies + 1] += diagonal.ravel()
+    x = state.x.copy()
+    by_body = x.reshape(bodies, 8)
+    by_body[:, :4] += increments
+    position_sigma, yaw_sigma = drift_sigma
+    Gamma = drift_input(state)
+    Gamma *= np.array([position_sigma, position_sigma, position_sigma, yaw_sigma] * bodies)
+    P = Gamma @ Gamma.T
+    P += state.P
+    diagonal = P.ravel()[:: 8 * bodies + 1].reshape(bodies, 8)
+    variance = input_sigma * input_sigma
+    diagonal[:, P_ODOM] += variance[:, :1]
+    diagonal[:, PSI] += variance[:, 1]
     return State(x, P, state.station)

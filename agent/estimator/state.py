@@ -20,10 +20,13 @@ to the linearisation of y(x), which is then made once a tick (and by exact momen
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from agent.interface.frames import Array, rotate_z
+from agent.interface.frames import Array
 
 P_ODOM, PSI, P_FRAME, PSI_FRAME = slice(0, 3), 3, slice(4, 7), 7  # of the 8 entries of one MAV
 
@@ -95,17 +98,32 @@ def from_frames(
     return State(x.ravel(), P.reshape(8 * bodies, 8 * bodies), station)
 
 
-def poses_jacobian(state: State) -> Array:
-    """B (4N, 8N) = dy/dx at the mean."""
-    bodies, s = state.bodies, state.by_body
-    turned = rotate_z(s[:, PSI_FRAME], s[:, P_ODOM])
-    c, sn = np.cos(s[:, PSI_FRAME]), np.sin(s[:, PSI_FRAME])
-    blocks = np.zeros((bodies, 4, 8))
-    blocks[:, 0, 0], blocks[:, 0, 1], blocks[:, 0, PSI_FRAME] = c, -sn, -turned[:, 1]
-    blocks[:, 1, 0], blocks[:, 1, 1], blocks[:, 1, PSI_FRAME] = sn, c, turned[:, 0]
-    blocks[:, 2, 2] = 1.0
-    blocks[:, (0, 1, 2), (4, 5, 6)] = 1.0
-    blocks[:, 3, PSI] = 1.0
+class _Jacobian(NamedTuple):
+    """What of B is the same at every tick, and where (in the flattened array) the rest goes."""
+
+    constant: Array  # (4B, 8B)
+    turn: npt.NDArray[np.intp]  # (6, B) entries cos, -sin, sin, cos, and the two of the frame's yaw
+
+
+@lru_cache(maxsize=64)
+def _jacobian(bodies: int) -> _Jacobian:
     B = np.zeros((bodies, 4, bodies, 8))
-    B[range(bodies), :, range(bodies), :] = blocks
-    return B.reshape(4 * bodies, 8 * bodies)
+    every = np.arange(bodies)
+    B[every, 2, every, 2] = 1.0
+    B[every[:, None], (0, 1, 2), every[:, None], (4, 5, 6)] = 1.0
+    B[every, 3, every, PSI] = 1.0
+    at = np.arange(B.size).reshape(B.shape)
+    places = ((0, 0), (0, 1), (1, 0), (1, 1), (0, PSI_FRAME), (1, PSI_FRAME))
+    turn = np.array([at[every, row, every, column] for row, column in places])
+    return _Jacobian(B.reshape(4 * bodies, 8 * bodies), turn)
+
+
+def poses_jacobian(state: State) -> Array:
+    """B (4B, 8B) = dy/dx at the mean."""
+    s = state.by_body
+    c, sn = np.cos(s[:, PSI_FRAME]), np.sin(s[:, PSI_FRAME])
+    turned_x, turned_y = c * s[:, 0] - sn * s[:, 1], sn * s[:, 0] + c * s[:, 1]
+    jacobian = _jacobian(state.bodies)
+    B = jacobian.constant.copy()
+    B.ravel()[jacobian.turn] = c, -sn, sn, c, -turned_y, turned_x
+    return B

@@ -20,17 +20,18 @@ from agent.interface.sensors import Detector
 class Pairs(NamedTuple):
     """What the detector makes of every pair of bodies at the poses of a tick, [station, target]."""
 
+    lines: Array  # (B, B, 3) m, common axes
     R: Array  # (B, B, 3, 3) m^2, common axes
-    P_D: Array  # (B, B)
+    P_D: Array  # (B, B), 0 for what is no pair of different MAVs
 
     @staticmethod
     def at(poses: Poses, detector: Detector) -> "Pairs":
         by_body = poses.by_body
         lines = by_body[None, :, :3] - by_body[:, None, :3]
-        return Pairs(
-            detection_model.noise_covariance(detector, lines),
-            detection_model.detection_probability(detector, lines, by_body[:, None, 3]),
-        )
+        P_D = detection_model.detection_probability(detector, lines, by_body[:, None, 3])
+        np.fill_diagonal(P_D, 0.0)
+        P_D[-1] = P_D[:, -1] = 0.0  # the start is not a MAV
+        return Pairs(lines, detection_model.noise_covariance(detector, lines), P_D)
 
 
 class Updated(NamedTuple):

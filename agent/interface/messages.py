@@ -134,7 +134,8 @@ class Status(Header, frozen=True):
     late: int
     duplicate: int
     tick_us: int
-    station_us: tuple[int, ...]  # one per station update of the tick
+    station_us: tuple[int, ...]  # of each station update; their mean, where several were done at once
+    late_ticks: int = 0  # real time only, the world's: published more than half a period late, or not answered in time
     final: bool = False  # the last message of its sender
 
     def __post_init__(self) -> None:

@@ -6,6 +6,7 @@ import pytest
 
 from agent.config import AgentConfig, Filter
 from agent.estimator.estimator import Estimator
+from agent.estimator.joint_update import DetectionSet
 from agent.interface.fleet import Fleet
 from agent.interface.frames import relative_pose, wrap
 from agent.interface.messages import LOCALISED, SEARCHING
@@ -21,6 +22,7 @@ def fly(
     config=None,
     clairvoyant=False,
     far_m=0.0,
+    at_once=False,
     true_odometry=None,
     drop=lambda k, i: False,
 ):
@@ -35,9 +37,13 @@ def fly(
             noise[station - 1] = 0
             estimator.start(team.frames_in(tick.truth, station) + noise, 0.2, 0.1)
         estimator.predict({i: z for i, z in tick.odometry.items() if not drop(k, i)})
-        for i in [station, *(j + 1 for j in others)]:
-            if not drop(k, i):
-                estimator.associate(i, tick.sets[i], tick.labels[i] if clairvoyant else None)
+        heard = [i for i in [station, *(j + 1 for j in others)] if not drop(k, i)]
+        sets = [DetectionSet(i, tick.sets[i], tick.labels[i] if clairvoyant else None) for i in heard]
+        if at_once:
+            estimator.associate_all(sets)
+        else:
+            for one in sets:
+                estimator.associate(*one)
         beliefs = estimator.finish()
         own = np.tile(beliefs.poses[station - 1], (mavs, 1))
         true = relative_pose(np.tile(tick.truth[station - 1], (mavs, 1)), tick.truth)

@@ -1,0 +1,212 @@
+"""What do all unambiguous detection sets of a tick change, taken at once?
+
+The paper updates station by station. In flight most sets are unambiguous: every detection lies in the gate of one
+target, and of no other. Their hypotheses differ only in which detections might be false after all, so all these sets
+together make one CPDAF update: one block in information form in which everything is detected,
+
+    P+ = (Sigma^-1 + H^T R^-1 H)^-1,      K = P+ H^T R^-1,      A = S^-1 = R^-1 - R^-1 H P+ H^T R^-1
+
+and, mixed in with their exact odds, the hypotheses that leave one detection out (see `cpdaf.py`; two at once are
+bounded and neglected, or else the sets with the largest odds are put off). It costs a fifth of updating one by one.
+What differs from doing that: the measurement is linearised, and gates are laid, at the tick's prior for all stations.
+
+Sets that are not unambiguous are left for `station_update`, one by one.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import lapack
+
+from agent.estimator.cpdaf import Rules
+from agent.estimator.detection_model import cartesian
+from agent.estimator.hypotheses import LOG_2PI_3_2
+from agent.estimator.small_matrices import inverses
+from agent.estimator.state import Poses
+from agent.estimator.station_update import Pairs
+from agent.interface.frames import Array, rotate_z
+
+Index = npt.NDArray[np.intp]
+
+
+class DetectionSet(NamedTuple):
+    """One MAV's anonymous detections at one time."""
+
+    station: int  # 1..N
+    spherical: Array  # (M, 3) range m, azimuth rad, elevation rad, gravity-aligned body frame
+    labels: Index | None = None  # (M,) for a filter that is told the truth: MAV 1..N, 0 if false
+
+
+class Joint(NamedTuple):
+    poses: Poses
+    left: list[DetectionSet]  # what is still to be done, in order
+    distances: Array  # squared Mahalanobis distances of the innovations used, each on its own at the tick's prior
+    lost_mass: float
+
+
+class _Edges(NamedTuple):
+    """Associated pairs: station and target (body index), and the innovation."""
+
+    station: Index
+    target: Index
+    nu: Array  # (E, 3) m, levelled axes
+    distance: Array  # (E,)
+
+    def of(self, stations: npt.NDArray[np.bool_]) -> "_Edges":
+        keep = stations[self.station]
+        return _Edges(self.station[keep], self.target[keep], self.nu[keep], self.distance[keep])
+
+
+def joint_update(poses: Poses, pairs: Pairs, sets: list[DetectionSet], clutter: float, rules: Rules) -> Joint:
+    """The poses given all unambiguous sets of this tick; if the sets carry labels, given all of them.
+
+    Args:
+        poses: predicted to this tick.
+        pairs: of this tick.
+        sets: in the order in which what is left is to be done.
+        clutter: false detections per m^3.
+        rules: gates and pruning.
+    """
+    told = sets[0].labels is not None if sets else False
+    edges, clear = _edges(poses, pairs, sets, rules, told)
+    odds_of = np.zeros(len(pairs.P_D))
+    while len(edges.station):
+        block = _Block.of(poses, pairs, edges)
+        if told:
+            return Joint(block.poses(poses), [], edges.distance, 0.0)
+        inverse, u, odds = _odds(block, edges, pairs, clutter)
+        total = float(odds.sum())
+        if total <= rules.pruned_mass:
+            updated, lost = block.poses(poses), total
+            break
+        lost = (total * total - float(odds @ odds)) / 2
+        if lost <= rules.pruned_mass and total < 1:
+            updated = block.without_one(poses, inverse, u, odds / (1 + total))
+            break
+        # Put off the sets with the largest odds, so many that the rest may be taken at once.
+        odds_of[:] = np.bincount(edges.station, odds, len(odds_of))
+        order = odds_of.argsort()
+        fine = order[odds_of[order].cumsum() ** 2 / 2 <= rules.pruned_mass]
+        clear &= np.isin(np.arange(len(clear)), fine)
+        edges = edges.of(clear)
+    else:
+        updated, lost = poses, 0.0
+    return Joint(updated, [s for s in sets if not clear[s.station - 1]], edges.distance, lost)
+
+
+def _edges(
+    poses: Poses, pairs: Pairs, sets: list[DetectionSet], rules: Rules, told: bool
+) -> tuple[_Edges, npt.NDArray[np.bool_]]:
+    """The associated pairs of the unambiguous sets, and by body whether its set is one of these."""
+    counts = [len(s.spherical) for s in sets]
+    stations = np.repeat([s.station - 1 for s in sets], counts).astype(np.intp)
+    within = np.concatenate([np.arange(n) for n in counts]) if counts else np.zeros(0, dtype=np.intp)
+    bodies, most = len(pairs.P_D), max(counts, default=0)
+    clear = np.ones(bodies, dtype=bool)
+    if not len(stations):
+        none = np.zeros(0, dtype=np.intp)
+        return _Edges(none, none, np.zeros((0, 3)), np.zeros(0)), clear
+    vectors = cartesian(np.concatenate([s.spherical for s in sets]))
+    z = np.full((bodies, most, 3), np.nan)
+    z[stations, within] = rotate_z(poses.by_body[stations, 3], vectors)
+    nu = z[:, None] - pairs.lines[:, :, None]  # (station, target, detection, 3)
+    distance = ((nu @ inverses(_innovation_covariances(poses, pairs)).inverse.reshape(bodies, bodies, 3, 3)) * nu).sum(
+        3
+    )
+    if told:
+        label = np.concatenate([s.labels for s in sets if s.labels is not None])
+        true = label > 0
+        s, t, m = stations[true], label[true] - 1, within[true]
+    else:
+        inside = (distance <= rules.gate_threshold) & (pairs.P_D > 0)[:, :, None]
+        clear = (inside.sum(2).max(1) <= 1) & (inside.sum(1).max(1) <= 1)
+        s, t, m = (inside & clear[:, None, None]).nonzero()
+    return _Edges(s, t, nu[s, t, m], distance[s, t, m]), clear
+
+
+def _innovation_covariances(poses: Poses, pairs: Pairs) -> Array:
+    """(B * B, 3, 3) S of every pair on its own, sensor noise included."""
+    bodies = len(pairs.P_D)
+    T = poses.Sigma.reshape(bodies, 4, bodies, 4)
+    every = np.arange(bodies)
+    W = T[:, :3, :, :3].transpose(0, 2, 1, 3)  # cov(p_a, p_b)
+    own = W[every, every]
+    with_yaw = T[:, :3, :, 3]  # cov(p_a, psi_s) as [a, :, s]
+    J = _yaw_column(pairs.lines)
+    half = (
+        with_yaw.transpose(2, 0, 1)
+        - with_yaw[every, :, every][:, None]
+        + 0.5 * T[every, 3, every, 3][:, None, None] * J
+    )
+    S = own[:, None] + own - W - W.transpose(1, 0, 2, 3) + pairs.R
+    turn = J[..., :, None] * half[..., None, :]
+    S += turn
+    S += turn.swapaxes(2, 3)
+    return S.reshape(-1, 3, 3)
+
+
+def _yaw_column(lines: Array) -> Array:
+    """d h / d psi_s in levelled axes."""
+    J = np.zeros_like(lines)
+    J[..., 0], J[..., 1] = lines[..., 1], -lines[..., 0]
+    return J
+
+
+class _Block(NamedTuple):
+    """All edges detected, as one update in information form."""
+
+    dy: Array  # (4B,)
+    P: Array  # (4B, 4B)
+    K: Array  # (E, 3, 4B): of each edge, transposed
+    A: Array  # (E, 3, 3) diagonal blocks of S^-1
+    y: Array  # (E, 3, 1) of S^-1 nu
+
+    @staticmethod
+    def of(poses: Poses, pairs: Pairs, edges: _Edges) -> "_Block":
+        E, n = len(edges.station), len(poses.y)
+        which = np.arange(E)
+        by_body = np.zeros((E, 3, n // 4, 4))
+        for k in range(3):
+            by_body[which, k, edges.target, k] = 1.0
+            by_body[which, k, edges.station, k] = -1.0
+        by_body[which, :, edges.station, 3] = _yaw_column(pairs.lines[edges.station, edges.target])
+        H = by_body.reshape(E, 3, n)
+        R_inverse = inverses(pairs.R[edges.station, edges.target]).inverse
+        RH = R_inverse @ H
+        flat = RH.reshape(3 * E, n)
+        L, info = lapack.dpotrf(poses.Sigma, lower=1, clean=1)
+        assert info == 0, "the covariance of the poses is not positive definite"
+        M = L.T @ (H.reshape(3 * E, n).T @ flat) @ L
+        M.ravel()[:: n + 1] += 1.0
+        factor, _ = lapack.dpotrf(M, lower=1, clean=1)
+        X, _ = lapack.dtrtrs(factor, L.T, lower=1)
+        P = X.T @ X
+        dy = P @ (edges.nu.ravel() @ flat)
+        K = (flat @ P).reshape(E, 3, n)
+        A = R_inverse - K @ RH.transpose(0, 2, 1)
+        residual = edges.nu[:, :, None] - H @ dy[:, None]
+        return _Block(dy, P, K, A, R_inverse @ residual)
+
+    def poses(self, before: Poses) -> Poses:
+        return Poses(before.y + self.dy, self.P)
+
+    def without_one(self, before: Poses, inverse: Array, u: Array, beta: Array) -> Poses:
+        """Mixes in, each with its weight beta, the hypotheses that leave out one edge."""
+        weighted = beta[:, None, None]
+        E, n = len(beta), len(before.y)
+        K = self.K.reshape(3 * E, n)
+        shift = (weighted * u).ravel() @ K
+        spread = (weighted * (inverse + u * u.transpose(0, 2, 1))) @ self.K
+        P = self.P + K.T @ spread.reshape(3 * E, n) - np.outer(shift, shift)
+        return Poses(before.y + self.dy - shift, P)
+
+
+def _odds(block: _Block, edges: _Edges, pairs: Pairs, clutter: float) -> tuple[Array, Array, Array]:
+    """Exact odds of each edge's being a miss and a false detection, given all others; with A_ee^-1 and u."""
+    inverse = inverses(block.A)
+    u = inverse.inverse @ block.y
+    distance = (u * block.y).sum(1).ravel()
+    seen = pairs.P_D[edges.station, edges.target]
+    odds = (1 - seen) * clutter / seen * np.exp(LOG_2PI_3_2 + 0.5 * distance) / np.sqrt(inverse.determinant)
+    return inverse.inverse, u, odds
