@@ -5,6 +5,7 @@ agent denies it.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 from agent.interface import messages
 
@@ -36,6 +37,7 @@ TOPICS = (VIO, SIGHTINGS, SURVEY, END, ODOMETRY, DETECTIONS, COMMAND, ESTIMATE, 
 _BY_SHAPE = {tuple(topic.key.replace("{mav}", "*").split("/")): topic for topic in TOPICS}
 
 
+@lru_cache(maxsize=1024)
 def key(topic: Topic, mav: int) -> str:
     return topic.key.replace("{mav}", str(mav))
 
@@ -45,6 +47,7 @@ def all_keys(topic: Topic) -> str:
     return topic.key.replace("{mav}", "*")
 
 
+@lru_cache(maxsize=1024)
 def parse(key_expression: str) -> tuple[Topic, int]:
     """Topic and MAV of a key.
 
