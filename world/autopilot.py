@@ -1,15 +1,19 @@
 """What must the rotors do for a MAV to follow its setpoint?
 
-Geometric control in the manner of Lee, Leok and McClamroch (2010): the wanted push gives the attitude, its error gives
-torques, thrust and torques give what each rotor shall push.
+Geometric control in the manner of Lee, Leok and McClamroch (2010), in two loops as on a real autopilot. The outer one
+(`aim`, at 50 Hz) turns position and velocity errors into the push that is wanted, and that into a thrust and an
+attitude. Both are held while the inner one (`commands`, at every step of the physics, 200 Hz or more) turns the MAV to
+that attitude: torques from the attitude error and the rates, then what each rotor shall push.
 """
 
 import numpy as np
 
 from agent.interface.frames import Array, wrap
 from world.physics import GRAVITY_M_S2, ROTORS, Airframe, State
+from world.poses import CONJUGATE, UNIT_PRODUCTS, multiply, rotations
 from world.scenario import Setpoints
 
+AIM_PERIOD_S = 0.02  # of the outer loop, at most
 POSITION_GAIN = 9.0  # 1/s^2
 VELOCITY_GAIN = 5.0  # 1/s
 ATTITUDE_GAIN = 240.0  # 1/s^2
@@ -20,66 +24,69 @@ MAX_YAW_ERROR_RAD = 0.3  # acted upon at once: yaw has little torque, roll and p
 
 
 class Autopilot:
-    """Flies N like MAVs at once. It has no memory: rotor commands follow from state and setpoints."""
+    """Flies N like MAVs at once.
 
-    def __init__(self, airframe: Airframe) -> None:
-        self._hover = airframe.mass_kg * GRAVITY_M_S2 / ROTORS
+    The attitude error is 2 sin of half the angle about the body's axes, which is the angle when small and bounded when
+    not: twice the vector part of the quaternion that leads from the attitude to the wanted one. With the wanted one
+    held that is linear in the attitude. So the outer loop leaves one matrix per MAV, which the inner one applies.
+    """
+
+    def __init__(self, airframe: Airframe, mavs: int) -> None:
         self._airframe = airframe
-        self._thrust_per_wrench = np.linalg.inv(airframe.wrench_per_thrust).T
+        thrust_per_wrench = np.linalg.inv(airframe.wrench_per_thrust)
+        self._thrust_per_push = thrust_per_wrench[:, 0] * airframe.mass_kg  # (4,) N per m/s^2
+        thrust_per_turn = thrust_per_wrench[:, 1:] * airframe.inertia  # (4, 3) N per rad/s^2
+        # The error is 2 vec(q* q_wanted): a sum over the entries a of q and b of q_wanted.
+        error = 2 * np.einsum("abi,a->iab", UNIT_PRODUCTS[..., :3], CONJUGATE)
+        gains = ATTITUDE_GAIN * np.einsum("ri,iab->bra", thrust_per_turn, error)
+        self._gains_per_attitude = gains[..., [3, 0, 1, 2]].reshape(4, 16)  # from q_wanted to [rotor, q's w x y z]
+        self._reading = np.ones((mavs, 8, 1))  # attitude w x y z, rates x y z rad/s, 1
+        self._attitude, self._rates = self._reading[:, :4, 0], self._reading[:, 4:7, 0]
+        self._gains = np.empty((mavs, ROTORS, 8))  # from the reading to the rotors, N
+        self._gains[:, :, 4:7] = -RATE_GAIN * thrust_per_turn
+        self._asked = np.empty((mavs, ROTORS, 1))
+        self._thrusts = self._asked[:, :, 0]
 
-    def commands(self, state: State, wanted: Setpoints) -> Array:
-        """(N, 4) thrusts asked of the rotors, N."""
+    def aim(self, state: State, wanted: Setpoints) -> None:
+        """The outer loop: the thrust and the attitude that are held until the next call."""
         push = POSITION_GAIN * (wanted.position - state.position)
         push += VELOCITY_GAIN * (wanted.velocity - state.velocity)
         push += wanted.acceleration
-        push[:, 2] += GRAVITY_M_S2
-        push = np.minimum(np.maximum(push, _LEAST), _MOST)
-        rotation = _rotations(state.quaternion_wxyz)
+        push += _WEIGHT
+        np.minimum(np.maximum(push, _LEAST, out=push), _MOST, out=push)
+        attitude = state.quaternion_wxyz.take(_XYZW, axis=1)
+        rotation = rotations(attitude)
         push_body = (push[:, None] @ rotation)[:, 0]  # R^T push
-        wrench = np.empty((len(push), 4))
-        wrench[:, 0] = self._airframe.mass_kg * push_body[:, 2]
-        wrench[:, 1:] = ATTITUDE_GAIN * _attitude_error(push_body, rotation, wanted.yaw) - RATE_GAIN * state.rates
-        wrench[:, 1:] *= self._airframe.inertia
-        return np.minimum(np.maximum(wrench @ self._thrust_per_wrench, 0.0), self._airframe.max_thrust_n)
+        wanted_attitude = multiply(attitude, _turn(push_body, rotation, wanted.yaw))
+        self._gains[:, :, :4] = (wanted_attitude @ self._gains_per_attitude).reshape(-1, ROTORS, 4)
+        self._gains[:, :, 7] = push_body[:, 2:] * self._thrust_per_push
+
+    def commands(self, state: State) -> Array:
+        """The inner loop: (N, 4) thrusts asked of the rotors, N, overwritten by the next call."""
+        self._attitude[:], self._rates[:] = state.quaternion_wxyz, state.rates
+        np.matmul(self._gains, self._reading, out=self._asked)
+        np.maximum(self._thrusts, 0.0, out=self._thrusts)
+        return np.minimum(self._thrusts, self._airframe.max_thrust_n, out=self._thrusts)
 
 
-def _attitude_error(push_body: Array, rotation: Array, yaw: Array) -> Array:
-    """(N, 3) rad: the turn, about the body's axes, that brings its z axis onto the wanted push and its x axis to the
-    wanted yaw; 2 sin of half the angle, which is the angle when small and bounded when not."""
-    strength = np.sqrt((push_body * push_body).sum(axis=1))
-    half = np.sqrt(2 * strength * np.maximum(strength + push_body[:, 2], 1e-3 * strength))
+def _turn(push_body: Array, rotation: Array, yaw: Array) -> Array:
+    """Quaternions (N, 4) x y z w of the turn, in the body's frame, that brings its z axis onto the wanted push by the
+    shortest way, then its x axis to the wanted yaw, or nearer to it."""
+    x, y, z = push_body.T
+    strength = np.sqrt(np.vecdot(push_body, push_body))
+    cosine = np.sqrt(np.maximum(0.5 + 0.5 * z / strength, 5e-4))  # of half the tilt
+    twice = 2 * strength * cosine
     yaw_error = wrap(yaw - np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0]))
-    error = np.empty((len(push_body), 3))
-    error[:, 0] = -2 * push_body[:, 1] / half
-    error[:, 1] = 2 * push_body[:, 0] / half
-    error[:, 2] = np.minimum(np.maximum(yaw_error, -MAX_YAW_ERROR_RAD), MAX_YAW_ERROR_RAD)
-    return error
+    half = 0.5 * np.minimum(np.maximum(yaw_error, -MAX_YAW_ERROR_RAD), MAX_YAW_ERROR_RAD)
+    c, s = np.cos(half), np.sin(half)
+    turn = np.empty((len(push_body), 4))
+    turn[:, 0] = (x * s - y * c) / twice
+    turn[:, 1] = (x * c + y * s) / twice
+    turn[:, 2], turn[:, 3] = cosine * s, cosine * c
+    return turn
 
 
-def _rotations(quaternion_wxyz: Array) -> Array:
-    """(N, 3, 3) rotation matrices: each entry is a sum of products of two quaternion entries, so one product with a
-    constant matrix gives them all."""
-    products = (quaternion_wxyz[:, :, None] * quaternion_wxyz[:, None, :]).reshape(-1, 16)
-    return (products @ _ENTRIES).reshape(-1, 3, 3)
-
-
+_XYZW = np.array([1, 2, 3, 0])
+_WEIGHT = np.array([0.0, 0.0, GRAVITY_M_S2])
 _LEAST = np.array([-MAX_SIDEWAYS_M_S2, -MAX_SIDEWAYS_M_S2, VERTICAL_M_S2[0]])
 _MOST = np.array([MAX_SIDEWAYS_M_S2, MAX_SIDEWAYS_M_S2, VERTICAL_M_S2[1]])
-
-
-def _entries() -> Array:
-    """(16, 9): from the products w w, w x, ... z z to the entries of a rotation matrix, row by row."""
-    w, x, y, z = range(4)
-    signed = (
-        ((1, w, w), (1, x, x), (-1, y, y), (-1, z, z)), ((2, x, y), (-2, w, z)), ((2, x, z), (2, w, y)),
-        ((2, x, y), (2, w, z)), ((1, w, w), (-1, x, x), (1, y, y), (-1, z, z)), ((2, y, z), (-2, w, x)),
-        ((2, x, z), (-2, w, y)), ((2, y, z), (2, w, x)), ((1, w, w), (-1, x, x), (-1, y, y), (1, z, z)),
-    )  # fmt: skip
-    entries = np.zeros((16, 9))
-    for entry, terms in enumerate(signed):
-        for factor, a, b in terms:
-            entries[4 * a + b, entry] = factor
-    return entries
-
-
-_ENTRIES = _entries()

@@ -1,4 +1,8 @@
-"""What is the pose of a MAV that also rolls and pitches? Positions and quaternions, and turns of them."""
+"""What is the pose of a MAV that also rolls and pitches? Positions and quaternions, and turns of them.
+
+Products of quaternions and entries of rotation matrices are sums of products of two quaternion entries, so one matrix
+product with a constant gives them all: for few MAVs, what costs is the number of calls.
+"""
 
 from typing import NamedTuple
 
@@ -16,28 +20,26 @@ class Poses(NamedTuple):
     @property
     def level(self) -> Array:
         """(N, 4) x y z m, yaw rad: roll and pitch taken out."""
-        return np.column_stack([self.position, yaw_of(self.quaternion)])
+        level = np.empty(self.quaternion.shape)
+        level[:, :3], level[:, 3] = self.position, yaw_of(self.quaternion)
+        return level
 
 
 def multiply(a: Array, b: Array) -> Array:
     """Quaternions x y z w (..., 4) of the rotation b followed by a."""
-    ax, ay, az, aw = (a[..., k] for k in range(4))
-    bx, by, bz, bw = (b[..., k] for k in range(4))
-    return np.stack(
-        [
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-            aw * bw - ax * bx - ay * by - az * bz,
-        ],
-        axis=-1,
-    )
+    return np.asarray(_products(a, b) @ _MULTIPLY)
+
+
+def rotations(quaternion: Array) -> Array:
+    """Rotation matrices (N, 3, 3) of unit quaternions x y z w (N, 4)."""
+    return np.asarray((_products(quaternion, quaternion) @ _ROTATE).reshape(-1, 3, 3))
 
 
 def turn_z(yaw: Array, quaternion: Array) -> Array:
     """Quaternions (N, 4) turned about the vertical by yaw (N,) rad."""
-    zero = np.zeros_like(yaw)
-    return multiply(np.stack([zero, zero, np.sin(yaw / 2), np.cos(yaw / 2)], axis=-1), quaternion)
+    turn = np.zeros((len(yaw), 4))
+    turn[:, 2], turn[:, 3] = np.sin(yaw / 2), np.cos(yaw / 2)
+    return multiply(turn, quaternion)
 
 
 def slerp(start: Array, goal: Array, share: Array) -> Array:
@@ -65,3 +67,24 @@ def quaternion_of(matrix: Array) -> Array:
     )
     quaternion = np.linalg.eigh(k).eigenvectors[:, -1]
     return np.asarray(quaternion if quaternion[3] >= 0 else -quaternion)
+
+
+def _products(a: Array, b: Array) -> Array:
+    """(..., 16) a_x b_x, a_x b_y, ... a_w b_w."""
+    pairs = a[..., :, None] * b[..., None, :]
+    return np.asarray(pairs.reshape(*pairs.shape[:-2], 16))
+
+
+# Hamilton's products: the first unit (block i, j, k or 1) times the second (column) gives the third (row).
+_HAMILTON = [
+    [[0, 0, 0, 1], [0, 0, -1, 0], [0, 1, 0, 0], [-1, 0, 0, 0]],
+    [[0, 0, 1, 0], [0, 0, 0, 1], [-1, 0, 0, 0], [0, -1, 0, 0]],
+    [[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 1], [0, 0, -1, 0]],
+    [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]],
+]
+UNIT_PRODUCTS = np.array(_HAMILTON, float).transpose(0, 2, 1)  # (4, 4, 4): [a, b] is the product of the units a and b
+CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
+_MULTIPLY = UNIT_PRODUCTS.reshape(16, 4)
+# q v q* is a sum over the entries a and b of q; for v the axis j, its entry i is R[i, j].
+_TURNED_AXES = np.einsum("ajm,mbi,b->abij", UNIT_PRODUCTS[:, :3], UNIT_PRODUCTS[..., :3], CONJUGATE)
+_ROTATE = _TURNED_AXES.reshape(16, 9)

@@ -6,7 +6,7 @@ import numpy as np
 
 from agent.interface.fleet import Fleet
 from agent.interface.seeds import generator
-from world.autopilot import Autopilot
+from world.autopilot import AIM_PERIOD_S, Autopilot
 from world.config import WorldConfig
 from world.physics import Physics
 from world.poses import Poses
@@ -27,7 +27,8 @@ class SimulatedFlight:
         self._step_s = 1 / (fleet.rate_hz * self._steps_per_tick)
         self._steps = 0
         self._physics = Physics(np.column_stack([self._scenario.start, self._yaw]), self._step_s)
-        self._autopilot = Autopilot(self._physics.airframe)
+        self._autopilot = Autopilot(self._physics.airframe, fleet.mavs)
+        self._steps_per_aim = math.floor(AIM_PERIOD_S / self._step_s + 1e-9)
         self.true = self._poses()
         self._vio = Vio(config.odometry, fleet, self.true)
         self.pose_world_odom = self._vio.pose_world_odom
@@ -39,8 +40,10 @@ class SimulatedFlight:
 
     def step(self) -> None:
         for _ in range(self._steps_per_tick):
-            wanted = self._scenario.setpoints(self._steps * self._step_s, self._yaw)
-            self._physics.step(self._autopilot.commands(self._physics.state, wanted))
+            if self._steps % self._steps_per_aim == 0:
+                wanted = self._scenario.setpoints(self._steps * self._step_s, self._yaw)
+                self._autopilot.aim(self._physics.state, wanted)
+            self._physics.step(self._autopilot.commands(self._physics.state))
             self._steps += 1
         self.true = self._poses()
         self._vio.advance(self.true)

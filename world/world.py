@@ -3,6 +3,7 @@
 import logging
 from typing import Protocol
 
+import msgspec
 import numpy as np
 
 from agent.interface import clock, messages, topics
@@ -18,6 +19,7 @@ from world.recorded import RecordedFlights
 SENDER = 0  # the world among the MAVs 1..N
 
 log = logging.getLogger("world")
+_encoder = msgspec.msgpack.Encoder()
 
 
 class Motion(Protocol):
@@ -60,7 +62,7 @@ class World:
         self._complained: set[str] = set()
         self._answered_stamp_ns = -1
         self._tick_us = 0
-        self.sent = self.sent_bytes = self.received = self.rejected = self.late = 0
+        self.sent = self.sent_bytes = self.received = self.rejected = self.late_ticks = 0
 
     @property
     def finished(self) -> bool:
@@ -70,7 +72,8 @@ class World:
         """Tells every agent, roughly, where the odometry frames are."""
         if isinstance(self._config.survey, Survey):
             for mav in self._fleet.ids:
-                self._publish(topics.key(topics.SURVEY, mav), self._survey(mav, self._config.survey))
+                survey = self._survey(mav, self._config.survey)
+                self._publish(topics.key(topics.SURVEY, mav), messages.encode(survey))
 
     def publish_tick(self) -> None:
         """What every MAV's sensors read at this tick and, for deploy alone, what is true."""
@@ -81,13 +84,14 @@ class World:
         true, vio = self._motion.true, self._motion.vio
         for i, mav in enumerate(self._fleet.ids):
             truth_key, labels_key, vio_key, sightings_key = self._keys[i]
+            detections = self._sets[i]
             p, q = true.position[i].tobytes(), true.quaternion[i].tobytes()
-            self._publish(truth_key, messages.Truth(*header, mav, p, q))
-            self._publish(labels_key, messages.Labels(*header, mav, self._sets[i].labels.tobytes()))
+            self._publish(truth_key, _encode(messages.Truth, *header, mav, p, q))
+            self._publish(labels_key, _encode(messages.Labels, *header, mav, detections.labels.tobytes()))
             p, q = vio.position[i].tobytes(), vio.quaternion[i].tobytes()
-            self._publish(vio_key, messages.Vio(*header, p, q))
-            block = messages.spherical_block(self._sets[i].spherical)
-            self._publish(sightings_key, messages.Sightings(*header, block))
+            self._publish(vio_key, _encode(messages.Vio, *header, p, q))
+            block = messages.spherical_block(detections.spherical)
+            self._publish(sightings_key, _encode(messages.Sightings, *header, block))
         self._tick_us = clock.now_us() - began_us
 
     def step(self) -> None:
@@ -109,8 +113,8 @@ class World:
         last = max(self._tick - 1, 0)
         header = (messages.VERSION, self._epoch, SENDER, 0, self._fleet.stamp_ns(last))
         for mav in self._fleet.ids:
-            self._publish(topics.key(topics.END, mav), messages.End(*header))
-        self._publish(topics.key(topics.STATUS, SENDER), self._final_status(header))
+            self._publish(topics.key(topics.END, mav), messages.encode(messages.End(*header)))
+        self._publish(topics.key(topics.STATUS, SENDER), messages.encode(self._final_status(header)))
 
     def run_lockstep(self) -> None:
         """As fast as the slowest agent answers."""
@@ -123,20 +127,23 @@ class World:
         self.end()
 
     def run_realtime(self) -> None:
-        """By the wall clock, waiting for nobody."""
+        """By the wall clock, waiting for nobody.
+
+        A tick is late if it was published more than half a period after its time, or if some MAV had not answered it
+        when the next one was due. The last one, too, gets a period to be answered.
+        """
         self.begin()
         began_s, period_s = clock.now_s(), 1 / self._fleet.rate_hz
         while not self.finished:
             due_s = began_s + self._tick * period_s
-            clock.sleep_until(due_s)
-            self.late += clock.now_s() - due_s > period_s / 2
+            punctual = clock.now_s() - due_s <= period_s / 2
             self.publish_tick()
             self.step()
-            self.answered()
+            clock.sleep_until(due_s + period_s)
+            self.late_ticks += not (self.answered() and punctual)
         self.end()
 
-    def _publish(self, key: str, message: messages.Header) -> None:
-        payload = messages.encode(message)
+    def _publish(self, key: str, payload: bytes) -> None:
         self._bus.publish(key, payload)
         self.sent += 1
         self.sent_bytes += len(payload)
@@ -168,24 +175,27 @@ class World:
         return messages.Survey(*header, poses.tobytes(), survey.position_sigma_m, survey.yaw_sigma_rad)
 
     def _final_status(self, header: tuple[int, int, int, int, int]) -> messages.Status:
-        """Its counters include itself, and a larger count may take a byte more: so the size is found by repeating."""
-        size = 0
-        while True:
-            status = messages.Status(
-                *header,
-                sent=self.sent + 1,
-                sent_bytes=self.sent_bytes + size,
-                received=self.received,
-                rejected=self.rejected,
-                late=self.late,
-                duplicate=0,
-                tick_us=self._tick_us,
-                station_us=(),
-                final=True,
-            )
-            if len(messages.encode(status)) == size:
-                return status
-            size = len(messages.encode(status))
+        """Counts itself among the messages, but, as those of the agents, not among the bytes."""
+        return messages.Status(
+            *header,
+            sent=self.sent + 1,
+            sent_bytes=self.sent_bytes,
+            received=self.received,
+            rejected=self.rejected,
+            late=0,
+            duplicate=0,
+            tick_us=self._tick_us,
+            station_us=(),
+            late_ticks=self.late_ticks,
+            final=True,
+        )
+
+
+def _encode(kind: type[messages.Header], *fields: int | bytes) -> bytes:
+    """The same bytes as those of a message of this kind, which it does not build: that would check every field, and
+    who receives it does so anyway."""
+    assert len(fields) == len(kind.__struct_fields__)
+    return _encoder.encode(fields)
 
 
 def _motion(config: WorldConfig, fleet: Fleet) -> Motion:

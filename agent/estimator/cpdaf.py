@@ -152,35 +152,60 @@ def _certain(
 ) -> _Certain:
     """Those of the lone target-detection pairs whose odds of being a miss and a false detection are negligible.
 
-    The odds are exact, given the other pairs: target t's conditional innovation has precision A_tt and mean
-    u = A_tt^-1 (A mu)_t. Where nothing but these pairs is at stake (`complete`) and two misses at once are negligible,
-    single misses are weighed in: each takes one target out of the Kalman block.
+    Where nothing but these pairs is at stake (`complete`) and two misses at once are negligible, single misses are
+    weighed in: each takes one target out of the Kalman block.
     """
     while len(pairs.targets):
         block = _kalman(pairs, S, innovations)
-        inverse = inverses(diagonal_blocks(block.A))
-        y = block.g.reshape(-1, 3, 1)
-        u = inverse.inverse @ y
-        distance = (u * y).sum(1).ravel()
-        seen = P_D[pairs.targets]
-        odds = (1 - seen) * clutter / seen * np.exp(LOG_2PI_3_2 + 0.5 * distance) / np.sqrt(inverse.determinant)
-        total = float(odds.sum())
+        misses = miss_odds(diagonal_blocks(block.A), block.g.reshape(-1, 3, 1), P_D[pairs.targets], clutter)
+        total = float(misses.odds.sum())
         if total <= negligible:
             return block._replace(lost=total)
-        two_misses = (total * total - float(odds @ odds)) / 2
-        if complete and two_misses <= negligible and total < 1:
-            return _with_single_misses(block, inverse.inverse, u, odds / (1 + total), two_misses)
-        order = odds.argsort()
-        keep = odds[order].cumsum() <= negligible
+        two = misses.two()
+        if complete and two <= negligible:
+            return _with_single_misses(block, misses, misses.odds / (1 + total), two)
+        order = misses.odds.argsort()
+        keep = misses.odds[order].cumsum() <= negligible
         pairs, complete = pairs.those(np.sort(order[keep])), False
     return _Certain(pairs.none(), _NO_ROWS, np.zeros(0), np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)), 0.0)
 
 
-def _with_single_misses(block: _Certain, inverse: Array, u: Array, beta: Array, lost: float) -> _Certain:
+class Misses(NamedTuple):
+    """For each of E associated pairs: the odds that the target was missed and the detection is false."""
+
+    odds: Array  # (E,) against "all E detected", exact, given the other pairs
+    u: Array  # (E, 3, 1) conditional innovation
+    spread: Array  # (E, 3, 3) its covariance plus u u^T
+
+    def two(self) -> float:
+        """The weight of two misses at once, as if independent, relative to none; infinite if one is likely."""
+        total = float(self.odds.sum())
+        return (total * total - float(self.odds @ self.odds)) / 2 if total < 1 else np.inf
+
+
+def miss_odds(A: Array, y: Array, P_D: Array, clutter: float) -> Misses:
+    """Leave-one-out odds from the inverse innovation covariance of all pairs.
+
+    Given the other pairs, the innovation of pair t has covariance A_tt^-1 and mean u = A_tt^-1 y_t.
+
+    Args:
+        A: (E, 3, 3) diagonal blocks of the inverse innovation covariance.
+        y: (E, 3, 1) of that inverse times the innovation.
+        P_D: (E,)
+        clutter: false detections per m^3.
+    """
+    inverse = inverses(A)
+    u = inverse.inverse @ y
+    half_distance = 0.5 * (u * y).sum(1).ravel()
+    likelihood = np.exp(np.minimum(LOG_2PI_3_2 + half_distance, MOST_NATS)) / np.sqrt(inverse.determinant)
+    return Misses((1 - P_D) * clutter / P_D * likelihood, u, inverse.inverse + u * u.transpose(0, 2, 1))
+
+
+def _with_single_misses(block: _Certain, misses: Misses, beta: Array, lost: float) -> _Certain:
     """Moments over "all detected" and "all but t", each t with its weight beta."""
-    U = (beta[:, None, None] * u).ravel()
+    U = (beta[:, None, None] * misses.u).ravel()
     D = np.outer(-U, U)
-    D.ravel()[diagonal_index(len(beta))] += (beta[:, None, None] * (inverse + u * u.transpose(0, 2, 1))).reshape(-1, 9)
+    D.ravel()[diagonal_index(len(beta))] += (beta[:, None, None] * misses.spread).reshape(-1, 9)
     A = block.A
     return block._replace(g=block.g - A @ U, W=A - A @ D @ A, lost=lost)
 
@@ -267,5 +292,6 @@ def _nothing() -> Association:
     return Association(_NO_ROWS, np.zeros(0), np.zeros((0, 0)), 0.0, np.zeros(0))
 
 
+MOST_NATS = 600.0  # beyond it exp overflows; odds so large are certainties
 _XYZ = np.arange(3)
 _NO_ROWS = np.zeros(0, dtype=np.intp)

@@ -19,9 +19,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import lapack
 
-from agent.estimator.cpdaf import Rules
+from agent.estimator.cpdaf import Misses, Rules, miss_odds
 from agent.estimator.detection_model import cartesian
-from agent.estimator.hypotheses import LOG_2PI_3_2
 from agent.estimator.small_matrices import inverses
 from agent.estimator.state import Poses
 from agent.estimator.station_update import Pairs
@@ -70,22 +69,20 @@ def joint_update(poses: Poses, pairs: Pairs, sets: list[DetectionSet], clutter: 
     """
     told = sets[0].labels is not None if sets else False
     edges, clear = _edges(poses, pairs, sets, rules, told)
-    odds_of = np.zeros(len(pairs.P_D))
     while len(edges.station):
         block = _Block.of(poses, pairs, edges)
         if told:
             return Joint(block.poses(poses), [], edges.distance, 0.0)
-        inverse, u, odds = _odds(block, edges, pairs, clutter)
-        total = float(odds.sum())
+        misses = miss_odds(block.A, block.y, pairs.P_D[edges.station, edges.target], clutter)
+        total, lost = float(misses.odds.sum()), misses.two()
         if total <= rules.pruned_mass:
             updated, lost = block.poses(poses), total
             break
-        lost = (total * total - float(odds @ odds)) / 2
-        if lost <= rules.pruned_mass and total < 1:
-            updated = block.without_one(poses, inverse, u, odds / (1 + total))
+        if lost <= rules.pruned_mass:
+            updated = block.without_one(poses, misses, misses.odds / (1 + total))
             break
         # Put off the sets with the largest odds, so many that the rest may be taken at once.
-        odds_of[:] = np.bincount(edges.station, odds, len(odds_of))
+        odds_of = np.bincount(edges.station, misses.odds, len(pairs.P_D))
         order = odds_of.argsort()
         fine = order[odds_of[order].cumsum() ** 2 / 2 <= rules.pruned_mass]
         clear &= np.isin(np.arange(len(clear)), fine)
@@ -191,22 +188,12 @@ class _Block(NamedTuple):
     def poses(self, before: Poses) -> Poses:
         return Poses(before.y + self.dy, self.P)
 
-    def without_one(self, before: Poses, inverse: Array, u: Array, beta: Array) -> Poses:
+    def without_one(self, before: Poses, misses: Misses, beta: Array) -> Poses:
         """Mixes in, each with its weight beta, the hypotheses that leave out one edge."""
         weighted = beta[:, None, None]
         E, n = len(beta), len(before.y)
         K = self.K.reshape(3 * E, n)
-        shift = (weighted * u).ravel() @ K
-        spread = (weighted * (inverse + u * u.transpose(0, 2, 1))) @ self.K
+        shift = (weighted * misses.u).ravel() @ K
+        spread = (weighted * misses.spread) @ self.K
         P = self.P + K.T @ spread.reshape(3 * E, n) - np.outer(shift, shift)
         return Poses(before.y + self.dy - shift, P)
-
-
-def _odds(block: _Block, edges: _Edges, pairs: Pairs, clutter: float) -> tuple[Array, Array, Array]:
-    """Exact odds of each edge's being a miss and a false detection, given all others; with A_ee^-1 and u."""
-    inverse = inverses(block.A)
-    u = inverse.inverse @ block.y
-    distance = (u * block.y).sum(1).ravel()
-    seen = pairs.P_D[edges.station, edges.target]
-    odds = (1 - seen) * clutter / seen * np.exp(LOG_2PI_3_2 + 0.5 * distance) / np.sqrt(inverse.determinant)
-    return inverse.inverse, u, odds

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from agent.interface.fleet import Fleet
 from agent.interface.frames import direction, range_and_bearing, rotation_matrix
@@ -64,10 +65,25 @@ def test_noise_is_isotropic_across_the_line_of_sight_and_grows_along_it() -> Non
             assert swing.std() / detector.bearing_sigma_rad == pytest.approx(1, abs=0.07)
             assert swing.std() / 0.007 != pytest.approx(1, abs=0.07), "another sigma must fail"
             assert abs(swing.mean()) < 0.0008
-        assert abs(np.corrcoef(seen @ left, seen @ up)[0, 1]) < 0.08
+        assert abs(np.corrcoef(seen @ left, seen @ up)[0, 1]) < 4 / np.sqrt(1500)
         sigma = 0.0495 * distance + 0.0336
         assert (measured[:, 0] - distance).std() / sigma == pytest.approx(1, abs=0.07)
         assert abs((measured[:, 0] - distance).mean()) < 4 * sigma / np.sqrt(1500)
+
+
+def test_noise_moves_the_direction_as_its_plain_twin_does() -> None:
+    """The twin: the line of sight turned about the axis across it that the two numbers give."""
+    draw = np.random.default_rng(8)
+    true = np.column_stack([draw.uniform(0.5, 9, 40), draw.uniform(-3.1, 3.1, 40), draw.uniform(-1.5, 1.5, 40)])
+    true[0, 2], true[1, 2] = np.pi / 2, -np.pi / 2  # straight above and below
+    noise = draw.standard_normal((40, 3))
+    measured = Detectors(Detector(bearing_sigma_rad=0.3), Fleet())._measure(true, noise)
+    for (distance, azimuth, elevation), (a, b, c), seen in zip(true, noise, measured, strict=True):
+        sight, up = direction(azimuth, elevation), direction(azimuth, elevation + np.pi / 2)
+        turn = Rotation.from_rotvec(0.3 * (a * up - b * np.cross(up, sight)))
+        np.testing.assert_allclose(direction(seen[1], seen[2]), turn.apply(sight), atol=1e-12)
+        assert seen[0] == pytest.approx(max(distance + (0.0495 * distance + 0.0336) * c, 0.01))
+    assert np.abs(measured[:, 1]).max() <= np.pi
 
 
 def test_ranges_stay_positive() -> None:

@@ -6,7 +6,7 @@ import pytest
 from agent.interface.fleet import Fleet
 from agent.interface.frames import relative_pose, rotation_matrix, wrap, yaw_of
 from agent.interface.sensors import Odometry
-from world.poses import Poses, multiply, quaternion_of, slerp, turn_z
+from world.poses import Poses, turn_z
 from world.vio import Vio
 
 QUIET = Odometry(position_sigma_m=0.0, yaw_sigma_rad=0.0)
@@ -62,19 +62,3 @@ def test_drift_is_a_random_walk_of_the_stated_size() -> None:
     lagged = (steps[:-1] * steps[1:]).mean(axis=(0, 1)) / sigmas**2
     np.testing.assert_allclose(lagged, 0, atol=0.03)  # increments are independent
     assert abs(np.corrcoef(steps[:, 0, 0], steps[:, 1, 0])[0, 1]) < 0.2  # and so are MAVs
-
-
-def test_quaternion_arithmetic() -> None:
-    draw = np.random.default_rng(5)
-    a, b = (each / np.linalg.norm(each, axis=1, keepdims=True) for each in draw.standard_normal((2, 30, 4)))
-    np.testing.assert_allclose(rotation_matrix(multiply(a, b)), rotation_matrix(a) @ rotation_matrix(b), atol=1e-14)
-    for each in a:
-        np.testing.assert_allclose(quaternion_of(rotation_matrix(each)), each if each[3] > 0 else -each, atol=1e-12)
-    from scipy.spatial.transform import Rotation, Slerp
-
-    share = draw.random(30)
-    expected = [Slerp([0, 1], Rotation.from_quat([a[k], b[k]]))(share[k]).as_matrix() for k in range(30)]
-    np.testing.assert_allclose(rotation_matrix(slerp(a, b, share[:, None])), expected, atol=1e-12)
-    np.testing.assert_allclose(
-        slerp(a, -a, share[:, None]) * np.sign(slerp(a, -a, share[:, None])[:, 3:] * a[:, 3:]), a
-    )

@@ -154,16 +154,21 @@ def test_any_rate_ends_where_the_path_does(rate_hz: float) -> None:
     assert np.linalg.norm(last[:2]) == pytest.approx(2.0, abs=0.03)
 
 
-def test_the_final_status_counts_every_message_itself_included() -> None:
+def test_the_final_status_counts_every_message() -> None:
     packets = fly()
     assert packets[-1].key == "status/0"
     status = messages.decode(messages.Status, packets[-1].payload, EPOCH)
     assert status.final
     assert status.sender == 0
     assert status.sent == len(packets)
-    assert status.sent_bytes == sum(len(payload) for _, payload in packets)
+    assert status.sent_bytes == sum(len(payload) for _, payload in packets[:-1])  # its own size it cannot know
     assert status.received == 4 * 20
-    assert status.rejected == status.late == 0
+    assert status.rejected == status.late == status.late_ticks == 0
+
+
+def test_messages_are_encoded_as_their_kinds_are() -> None:
+    for key, payload in fly():
+        assert messages.encode(messages.decode(topics.parse(key)[0].kind, payload, EPOCH)) == payload
 
 
 def test_only_the_setpoint_of_this_tick_and_of_its_owner_is_an_answer(caplog: pytest.LogCaptureFixture) -> None:
@@ -223,25 +228,77 @@ def test_lockstep_waits_for_answers() -> None:
     assert bus.pending == []
 
 
-def test_real_time_is_paced_waits_for_nobody_and_counts_late_ticks(monkeypatch: pytest.MonkeyPatch) -> None:
-    now_s, begun_s = [100.0], []
+def in_real_time(
+    monkeypatch: pytest.MonkeyPatch, silent_at: tuple[int, ...] = (), slow_at: dict[int, float] | None = None
+) -> tuple[np.ndarray, messages.Status]:
+    """A run by a clock of its own: when every tick was published, s, and the final status.
+
+    The agents answer when told so, but MAV 2 is silent at some ticks; publishing takes 0.01 s, at some ticks longer."""
+    now_s, published_s = [100.0], []
 
     def sleep_until(deadline_s: float) -> None:
         now_s[0] = max(now_s[0], deadline_s)
 
-    class SlowAtTick5(MemoryBus):
+    class Agents(MemoryBus):
+        """MAV 1 is the first to be told; every MAV answers as soon as it is told."""
+
         def publish(self, key: str, payload: bytes) -> None:
-            if key == "sensor/1/vio":
-                begun_s.append(now_s[0])
-                now_s[0] += 0.27 if len(begun_s) == 6 else 0.01
             super().publish(key, payload)
+            if not key.endswith("vio"):
+                return
+            mav, tick = int(key.split("/")[1]), len(published_s) - (key != "sensor/1/vio")
+            if mav == 1:
+                published_s.append(now_s[0] - 100)
+                now_s[0] += (slow_at or {}).get(tick, 0.01)
+            if not (mav == 2 and tick in silent_at):
+                agents.publish(command_key(mav), answer(mav, FLEET.stamp_ns(tick)))
+
+    bus = Agents()
+    agents, heard = bus.another(), bus.another().subscribe("status/0")
+    monkeypatch.setattr(clock, "now_s", lambda: now_s[0])
+    monkeypatch.setattr(clock, "sleep_until", sleep_until)
+    World(config(), FLEET, EPOCH, bus).run_realtime()
+    assert now_s[0] - 100 == pytest.approx(2.0)  # every tick has its period, the last one too
+    (status,) = heard.drain()
+    return np.array(published_s), messages.decode(messages.Status, status.payload, EPOCH)
+
+
+def test_real_time_is_paced(monkeypatch: pytest.MonkeyPatch) -> None:
+    published_s, status = in_real_time(monkeypatch)
+    np.testing.assert_allclose(published_s, np.arange(20) / 10, atol=1e-9)
+    assert (status.late_ticks, status.late, status.received) == (0, 0, 80)
+
+
+def test_a_tick_that_is_published_too_late_is_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Tick 5 holds up 6 and 7 (due 0.1 and 0.2 s after it); from 8 on all is in time again. 11 comes less than half a
+    # period after its time.
+    published_s, status = in_real_time(monkeypatch, slow_at={5: 0.27, 10: 0.14})
+    np.testing.assert_allclose(published_s[:13], [0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.77, 0.78, 0.8, 0.9, 1, 1.14, 1.2])
+    assert status.late_ticks == 2
+
+
+def test_a_tick_that_some_mav_has_not_answered_is_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    published_s, status = in_real_time(monkeypatch, silent_at=(0, 3, 4, 19))
+    np.testing.assert_allclose(published_s, np.arange(20) / 10, atol=1e-9)  # it waits for nobody
+    assert (status.late_ticks, status.received) == (4, 76)
+
+
+def test_a_tick_is_late_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert in_real_time(monkeypatch, silent_at=(6,), slow_at={5: 0.17})[1].late_ticks == 1
+
+
+def test_an_answer_that_comes_before_the_next_tick_is_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The world hears answers when the next tick is due, so an agent may take the whole period."""
+    now_s, agents = [100.0], MemoryBus()
+
+    def sleep_until(deadline_s: float) -> None:
+        tick = round((now_s[0] - 100) * 10)
+        for mav in FLEET.ids:
+            agents.publish(command_key(mav), answer(mav, FLEET.stamp_ns(tick)))
+        now_s[0] = deadline_s
 
     monkeypatch.setattr(clock, "now_s", lambda: now_s[0])
     monkeypatch.setattr(clock, "sleep_until", sleep_until)
-    world = World(config(), FLEET, EPOCH, SlowAtTick5())
+    world = World(config(), FLEET, EPOCH, agents.another())
     world.run_realtime()
-    # Tick 5 holds up 6 and 7 (due 0.1 and 0.2 s after it); from 8 on all is in time again.
-    np.testing.assert_allclose(np.array(begun_s[:6]) - 100, np.arange(6) / 10, atol=1e-9)
-    np.testing.assert_allclose(np.array(begun_s[6:10]) - 100, [0.77, 0.78, 0.8, 0.9], atol=1e-9)
-    assert len(begun_s) == 20
-    assert world.late == 2
+    assert (world.late_ticks, world.received) == (0, 80)
