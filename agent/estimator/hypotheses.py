@@ -42,7 +42,7 @@ class Hypotheses(NamedTuple):
 
 class Tree(NamedTuple):
     hypotheses: Hypotheses
-    log_lost: float  # log of a bound on the sum of the weights left out, in the units of `log_total` of cpdaf.Weighed
+    log_lost: float  # log of a bound on the sum of the weights left out, in the units of `log_total` of weights.Weighed
 
 
 def grouped(assigned: Assignments) -> Hypotheses:

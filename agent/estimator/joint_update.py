@@ -19,11 +19,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import lapack
 
-from agent.estimator.cpdaf import Misses, Rules, miss_odds
+from agent.estimator.cpdaf import Rules
 from agent.estimator.detection_model import cartesian
 from agent.estimator.small_matrices import inverses
 from agent.estimator.state import Poses
 from agent.estimator.station_update import Pairs
+from agent.estimator.weights import Misses, miss_odds
 from agent.interface.frames import Array, rotate_z
 
 Index = npt.NDArray[np.intp]
