@@ -104,7 +104,7 @@ def _run(chosen: argparse.Namespace) -> int:
 
 def _study(chosen: argparse.Namespace) -> int:
     from agent.interface.tables import BadExperiment
-    from deploy import report, study, summary, terminal
+    from deploy import study, terminal
     from deploy.experiment import load
     from deploy.run import folder_for
 
@@ -120,6 +120,8 @@ def _study(chosen: argparse.Namespace) -> int:
     folder = folder_for(f"study-{name}", chosen.out)
     done = study.run_all(wanted, min(chosen.jobs or cores, len(wanted)), terminal.counter(len(wanted)))
     if done.summaries:
+        from deploy import report, summary  # matplotlib: not for a mistake in the words
+
         content = study.evaluate(done.summaries, name, f"seeds {seeds[0]} to {seeds[-1]}")
         folder.mkdir(parents=True, exist_ok=True)
         report.draw_study(content, folder / "study.png")

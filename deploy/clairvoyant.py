@@ -3,23 +3,17 @@
 Apart from the composition root the only module of deploy that looks inside an agent.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from agent.config import parse
 from agent.estimator.estimator import Estimator
-from agent.interface.frames import Array
-from deploy.metrics import States
-from deploy.recording import UNKNOWN, Recording
+from agent.estimator.joint_update import DetectionSet
+from deploy.recording import Beliefs, Recording
 
 
-class Twin(NamedTuple):
-    states: States  # (K, N, N) as in a Recording
-    estimates: Array  # (K, N, N, 4) pose of j in i's odometry frame
-
-
-def replay(recording: Recording, agent: dict[str, Any], told: bool = True) -> Twin:
+def replay(recording: Recording, agent: dict[str, Any], told: bool = True) -> Beliefs:
     """What every agent would have believed; agents that got no survey stay NaN.
 
     Detection sets are taken in the agents' order: each tick the own one first, then by MAV number. A set whose labels
@@ -34,9 +28,7 @@ def replay(recording: Recording, agent: dict[str, Any], told: bool = True) -> Tw
         BadExperiment: the table is wrong.
     """
     config = parse(agent)
-    K, N = recording.ticks, recording.fleet.mavs
-    states = np.full((K, N, N), UNKNOWN, np.uint8)
-    estimates = np.full((K, N, N, 4), np.nan)
+    twin = Beliefs.none(recording.ticks, recording.fleet.mavs)
     for station in recording.fleet.ids:
         survey = recording.surveys.get(station)
         if survey is None:
@@ -44,15 +36,24 @@ def replay(recording: Recording, agent: dict[str, Any], told: bool = True) -> Tw
         estimator = Estimator(config, recording.fleet, station)
         estimator.start(survey.poses, survey.position_sigma_m, survey.yaw_sigma_rad)
         order = [station, *(mav for mav in recording.fleet.ids if mav != station)]
-        for k in range(K):
-            readings = recording.odometry[k]
-            estimator.predict(
-                {mav: readings[mav - 1] for mav in recording.fleet.ids if np.isfinite(readings[mav - 1, 0])}
+        for k in range(recording.ticks):
+            heard = {
+                mav: recording.odometry[k, mav - 1] for mav in order if np.isfinite(recording.odometry[k, mav - 1, 0])
+            }
+            estimator.predict(heard)
+            estimator.associate_all(
+                [
+                    DetectionSet(mav, recording.detections[k, mav], recording.labels[k, mav] if told else None)
+                    for mav in heard
+                    if _labelled(recording, k, mav)
+                ]
             )
-            for mav in order:
-                spherical, labels = recording.detections.get((k, mav)), recording.labels.get((k, mav))
-                if spherical is not None and labels is not None and len(labels) == len(spherical):
-                    estimator.associate(mav, spherical, labels=labels if told else None)
-            beliefs = estimator.finish()
-            states[k, station - 1], estimates[k, station - 1] = beliefs.states, beliefs.poses
-    return Twin(states, estimates)
+            believed = estimator.finish()
+            twin.states[k, station - 1], twin.estimates[k, station - 1] = believed.states, believed.poses
+            twin.starts[k, station - 1] = believed.start
+    return twin
+
+
+def _labelled(recording: Recording, k: int, mav: int) -> bool:
+    detections, labels = recording.detections.get((k, mav)), recording.labels.get((k, mav))
+    return detections is not None and labels is not None and len(detections) == len(labels)

@@ -124,7 +124,6 @@ class Log(NamedTuple):
     origin: Origin
     packets: list[Packet]  # in the order in which they were recorded
     wall_s: float | None  # from the first message to the last; None if the writer did not come to say it
-    complete: bool  # False: the writer was killed, and what follows its last flush is missing
 
 
 class BadLog(Exception):
@@ -141,10 +140,10 @@ def read_log(path: Path) -> Log:
     keys: dict[int, str] = {}
     origin: Origin | None = None
     wall_s: float | None = None
-    complete = False
     try:
         with path.open("rb") as stream:
-            for record in _records(stream):
+            records: Iterable[object] = StreamReader(stream).records
+            for record in records:
                 if isinstance(record, Message):
                     packets.append(Packet(keys[record.channel_id], record.data))
                 elif isinstance(record, Channel):
@@ -154,15 +153,10 @@ def read_log(path: Path) -> Log:
                     origin = Origin(int(run["epoch"]), run["transport"], run["experiment"])
                 elif isinstance(record, Metadata) and record.name == "end":
                     wall_s = float(record.metadata["wall_s"])
-            complete = True
     except OSError as error:
         raise BadLog(f"{path}: {error.strerror}") from None
     except (McapError, struct.error):
         pass  # the end is missing
     if origin is None:
         raise BadLog(f"{path}: not the log of a run")
-    return Log(origin, packets, wall_s, complete)
-
-
-def _records(stream: IO[bytes]) -> Iterable[object]:
-    return StreamReader(stream).records
+    return Log(origin, packets, wall_s)

@@ -1,8 +1,9 @@
 """How good was a run? Errors, consistency and agreement as pure functions on arrays of a recording.
 
 Index k is the tick, i the agent (the station), j whom it is about. Poses (..., 4) are x y z in m and yaw in rad,
-gravity-aligned. `absolute` (K, N, N, 4) is the pose of j in the odometry frame of i, `relative` (K, N, N, 4) that of
-j in the body frame of i. What is unknown is NaN and counts nowhere.
+gravity-aligned. `absolute` (K, N, N, 4) is the pose of j in the frame that stays where i's odometry began, `relative`
+(K, N, N, 4) that of j in the body frame of i, `estimates` (K, N, N, 4) that of j in i's odometry frame, which drifts
+away from where it began. What is unknown is NaN and counts nowhere.
 """
 
 from typing import NamedTuple
@@ -50,7 +51,7 @@ def odometry_origins(true_poses: Array, odometry: Array) -> Array:
 
 
 def absolute_from_world(origins: Array, poses_world: Array) -> Array:
-    """(K, N, N, 4) poses (K, N, 4) of all MAVs as seen from each odometry frame (N, 4)."""
+    """(K, N, N, 4) poses (K, N, 4) of all MAVs as seen from where each one's odometry began (N, 4)."""
     return relative_pose(origins[None, :, None, :], poses_world[:, None, :, :])
 
 
@@ -60,7 +61,7 @@ def naive_absolute(origins: Array, odometry: Array) -> Array:
 
 
 def relative_from_absolute(absolute: Array) -> Array:
-    """(K, N, N, 4) poses of j in the body frame of i, as i believes both to be."""
+    """(K, N, N, 4) poses of j in the body frame of i, as i believes both to be: from `estimates` just as well."""
     mavs = np.arange(absolute.shape[1])
     own = absolute[:, mavs, mavs]
     return relative_pose(own[:, :, None, :], absolute)
@@ -125,16 +126,16 @@ def team_sum_of_squares(values: Array) -> Array:
     return np.where(agents > 0, total.sum(axis=(1, 2)) / np.maximum(agents, 1), np.nan)
 
 
-def nees(absolute: Array, covariances: Array, true_relative: Array) -> Array:
+def nees(estimates: Array, covariances: Array, true_relative: Array) -> Array:
     """(K, N, N) squared Mahalanobis length of the relative error of each pair, 4 degrees of freedom.
 
-    The covariances (K, N, N, 4, 4) are those of j in i's odometry frame; there i's own pose is nearly exact, so
+    The covariances (K, N, N, 4, 4) are those of `estimates`; in i's odometry frame i's own pose is nearly exact, so
     turned into i's body they are those of the relative pose. Infinite where one is not positive definite.
     """
-    mavs = np.arange(absolute.shape[1])
-    difference = relative_from_absolute(absolute) - true_relative
+    mavs = np.arange(estimates.shape[1])
+    difference = relative_from_absolute(estimates) - true_relative
     difference[..., 3] = wrap(difference[..., 3])
-    own_yaw = absolute[:, mavs, mavs, 3]
+    own_yaw = estimates[:, mavs, mavs, 3]
     # Turning the error into the odometry frame is the same as turning the covariance into the body, and cheaper.
     difference[..., :3] = rotate_z(own_yaw[:, :, None], difference[..., :3])
     numbers = np.concatenate([difference[..., None], covariances], axis=-1)
@@ -178,18 +179,18 @@ def nis_inside(innovations: Array) -> float:
     return float(inside / total) if total else float("nan")
 
 
-def disagreement_m(absolute: Array, states: States) -> float:
+def disagreement_m(estimates: Array, states: States) -> float:
     """95th percentile over time of the largest difference between two agents' beliefs of one relative position.
 
     At each tick over all pairs (a, b) and all agents that call both localised; NaN if never two do.
     """
-    N = absolute.shape[1]
+    N = estimates.shape[1]
     largest = []
-    for k in range(len(absolute)):
+    for k in range(len(estimates)):
         called = states[k] == LOCALISED
         called[np.arange(N), np.arange(N)] = True
         both = called[:, :, None] & called[:, None, :]  # (agent, a, b)
-        believed = relative_pose(absolute[k, :, :, None], absolute[k, :, None, :])[..., :3]  # of b in a's body
+        believed = relative_pose(estimates[k, :, :, None], estimates[k, :, None, :])[..., :3]  # of b in a's body
         belief = np.where(both[..., None], believed, np.nan).reshape(N, N * N, 3)
         apart = np.full(N * N, np.nan)
         for i in range(N - 1):

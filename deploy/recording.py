@@ -5,6 +5,7 @@ Index k is the tick, i the agent (the MAV with number i + 1), j whom it is about
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +13,7 @@ import numpy.typing as npt
 from agent.interface import messages, topics
 from agent.interface.bus import Packet
 from agent.interface.fleet import Fleet
-from agent.interface.frames import Array, yaw_of
+from agent.interface.frames import Array, relative_pose, yaw_of
 from agent.interface.messages import floats, read_spherical
 
 UPPER = np.triu_indices(4)
@@ -28,6 +29,27 @@ class Survey:
     yaw_sigma_rad: float
 
 
+class Beliefs(NamedTuple):
+    """What all agents said, or would have said, where everybody is."""
+
+    states: npt.NDArray[np.uint8]  # (K, N, N) index into messages.STATES, or UNKNOWN
+    estimates: Array  # (K, N, N, 4) pose of j in i's odometry frame, which drifts
+    starts: Array  # (K, N, 4) where i's odometry began, in the same frame
+
+    @staticmethod
+    def none(ticks: int, mavs: int) -> "Beliefs":
+        states = np.full((ticks, mavs, mavs), UNKNOWN, np.uint8)
+        return Beliefs(states, np.full((ticks, mavs, mavs, 4), np.nan), np.full((ticks, mavs, 4), np.nan))
+
+    def until(self, tick: int) -> "Beliefs":
+        return Beliefs(self.states[:tick], self.estimates[:tick], self.starts[:tick])
+
+    @property
+    def absolute(self) -> Array:
+        """(K, N, N, 4) pose of j in the frame that stays where i's odometry began."""
+        return relative_pose(self.starts[:, :, None], self.estimates)
+
+
 @dataclass(frozen=True)
 class Recording:
     fleet: Fleet
@@ -35,9 +57,8 @@ class Recording:
     truth: Array  # (K, N, 7) in world: x y z m, quaternion x y z w
     vio: Array  # (K, N, 7) in each MAV's odometry frame: the same, as its driver gave it
     odometry: Array  # (K, N, 4) in each MAV's odometry frame: x y z m, yaw rad, as it told its peers
-    states: npt.NDArray[np.uint8]  # (K, N, N) index into messages.STATES, or UNKNOWN
-    estimates: Array  # (K, N, N, 4) pose of j in i's odometry frame
-    covariances: Array  # (K, N, N, 4, 4) of those
+    beliefs: Beliefs
+    covariances: Array  # (K, N, N, 4, 4) of the estimates
     innovations: Array  # (K, N, 2) how many detections were associated, how many of them inside their 95 % gate
     tick_us: Array  # (K, N) what the tick cost agent i, wall time
     station_us: list[tuple[int, ...]]  # what the station updates of each recorded agent's tick cost
@@ -82,8 +103,7 @@ class _Builder:
         self.truth = np.full((K, N, 7), np.nan)
         self.vio = np.full((K, N, 7), np.nan)
         self.odometry = np.full((K, N, 4), np.nan)
-        self.states = np.full((K, N, N), UNKNOWN, np.uint8)
-        self.estimates = np.full((K, N, N, 4), np.nan)
+        self.beliefs = Beliefs.none(K, N)
         self.covariances = np.full((K, N, N, 4, 4), np.nan)
         self.innovations = np.full((K, N, 2), np.nan)
         self.tick_us = np.full((K, N), np.nan)
@@ -126,8 +146,9 @@ class _Builder:
                 self.labels[k, mav] = np.frombuffer(message.targets, np.uint8).astype(np.int64)
             case messages.Estimate():
                 self._expect(len(message.states) == N, f"an estimate of {len(message.states)} MAVs")
-                self.states[k, i] = np.frombuffer(message.states, np.uint8)
-                self.estimates[k, i] = floats(message.poses).reshape(N, 4)
+                self.beliefs.states[k, i] = np.frombuffer(message.states, np.uint8)
+                self.beliefs.estimates[k, i] = floats(message.poses).reshape(N, 4)
+                self.beliefs.starts[k, i] = floats(message.start)
                 upper = np.frombuffer(message.covariances, "<f4").reshape(N, 10)
                 self.covariances[k, i][:, UPPER[0], UPPER[1]] = upper
                 self.covariances[k, i][:, UPPER[1], UPPER[0]] = upper
@@ -162,8 +183,7 @@ class _Builder:
             truth=self.truth[:K],
             vio=self.vio[:K],
             odometry=self.odometry[:K],
-            states=self.states[:K],
-            estimates=self.estimates[:K],
+            beliefs=self.beliefs.until(K),
             covariances=self.covariances[:K],
             innovations=self.innovations[:K],
             tick_us=self.tick_us[:K],

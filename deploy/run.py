@@ -1,12 +1,9 @@
 """What does `swarm run` do? It makes the run folder, flies, records, scores and writes everything down."""
 
-import contextlib
 import secrets
-import shutil
 import signal
 import tempfile
 import traceback
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -79,7 +76,7 @@ def score(folder: Path) -> dict[str, Any]:
     if not recording.ticks:
         raise NothingRecorded(f"{folder / 'log.mcap'}: no tick of the run was recorded")
     twin = replay(recording, experiment.agent)
-    analysis = summary.analyse(recording, twin.states, twin.estimates)
+    analysis = summary.analyse(recording, twin)
     circumstances = summary.Circumstances(experiment.name, log.origin.transport, log.wall_s)
     content = summary.summarise(analysis, circumstances)
     (folder / "summary.json").write_text(summary.to_json(content))
@@ -92,18 +89,9 @@ def _processes(experiment: Experiment, folder: Path, epoch: int, display: Displa
     def show(line: bytes) -> None:
         display.show(msgspec.json.decode(line, type=Progress))
 
-    with _sockets() as sockets:
-        table = fleet.processes(experiment.fleet, folder.resolve(), sockets, epoch)
+    with tempfile.TemporaryDirectory(prefix="swarm-") as sockets:
+        table = fleet.processes(experiment.fleet, folder.resolve(), Path(sockets), epoch)
         return supervisor.run(table, folder / "logs", show)
-
-
-@contextlib.contextmanager
-def _sockets() -> Iterator[Path]:
-    directory = Path(tempfile.mkdtemp(prefix="swarm-"))
-    try:
-        yield directory
-    finally:
-        shutil.rmtree(directory)
 
 
 def _in_process(experiment: Experiment, folder: Path, epoch: int, display: Display) -> Outcome:

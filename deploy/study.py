@@ -100,7 +100,7 @@ def run_one(job: Job) -> dict[str, Any]:
     wall_s = clock.now_s() - began_s
     recording = assemble(packets, experiment.fleet, 1)
     twin = replay(recording, experiment.agent)
-    analysis = summary.analyse(recording, twin.states, twin.estimates)
+    analysis = summary.analyse(recording, twin)
     content = summary.summarise(analysis, summary.Circumstances(experiment.name, "memory", wall_s))
     return content | {"grid": job.grid}
 

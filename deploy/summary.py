@@ -10,7 +10,9 @@ from agent.interface.frames import Array
 from agent.interface.messages import STATES
 from deploy import metrics
 from deploy.metrics import Errors, Mask, Score
-from deploy.recording import Recording
+from deploy.recording import Beliefs, Recording
+
+WORLD = 0  # sender of the world's status
 
 
 class Course(NamedTuple):
@@ -35,25 +37,28 @@ class Analysis(NamedTuple):
     nees: Array  # (K, N, N)
 
 
-def analyse(recording: Recording, twin_states: metrics.States, twin_estimates: Array) -> Analysis:
+def analyse(recording: Recording, twin: Beliefs) -> Analysis:
     """Errors of the recording's estimates, of the naive baseline and of the clairvoyant twin."""
     true_poses, time_s = recording.true_poses, recording.time_s
     origins = metrics.odometry_origins(true_poses, recording.odometry)
     true_absolute = metrics.absolute_from_world(origins, true_poses)
     true_relative = metrics.relative_from_absolute(true_absolute)
 
-    def course(estimated: Array, since_s: Array) -> Course:
-        relative = metrics.errors(metrics.relative_from_absolute(estimated), true_relative)
+    def course(absolute: Array, since_s: Array) -> Course:
+        relative = metrics.errors(metrics.relative_from_absolute(absolute), true_relative)
         known, scored = time_s[:, None, None] >= since_s, metrics.settled(since_s, time_s)
-        return Course(relative, metrics.errors(estimated, true_absolute), known, scored)
+        return Course(relative, metrics.errors(absolute, true_absolute), known, scored)
 
-    always = np.full(recording.states.shape[1:], -np.inf)
+    def believed(beliefs: Beliefs) -> Course:
+        return course(beliefs.absolute, metrics.localised_since(beliefs.states, time_s))
+
+    ours, always = recording.beliefs, np.full(recording.beliefs.states.shape[1:], -np.inf)
     return Analysis(
         recording=recording,
-        ours=course(recording.estimates, metrics.localised_since(recording.states, time_s)),
+        ours=believed(ours),
         naive=course(metrics.naive_absolute(origins, recording.odometry), always),
-        clairvoyant=course(twin_estimates, metrics.localised_since(twin_states, time_s)),
-        nees=metrics.nees(recording.estimates, recording.covariances, true_relative),
+        clairvoyant=believed(twin),
+        nees=metrics.nees(ours.estimates, recording.covariances, true_relative),
     )
 
 
@@ -84,11 +89,12 @@ def summarise(analysis: Analysis, circumstances: Circumstances) -> dict[str, Any
         "sim_s": sim_s,
         "wall_s": wall_s,
         "real_time_factor": sim_s / wall_s if wall_s else None,
+        "late_ticks": recording.statuses[WORLD].late_ticks if WORLD in recording.statuses else None,
         **{kind: score._asdict() for kind, score in analysis.ours.scores(time_s).items()},
         **baselines,
         "anees": metrics.anees(analysis.nees, analysis.ours.scored),
         "nis_inside": metrics.nis_inside(recording.innovations),
-        "disagreement_m": metrics.disagreement_m(recording.estimates, recording.states),
+        "disagreement_m": metrics.disagreement_m(recording.beliefs.estimates, recording.beliefs.states),
         "estimator_ms": _estimator_ms(recording),
         "network": _network(recording, sim_s),
         "mavs": _mavs(analysis),
@@ -113,7 +119,7 @@ def _estimator_ms(recording: Recording) -> dict[str, float]:
 
 def _network(recording: Recording, sim_s: float) -> dict[str, Any]:
     """Sums over the agents' last words (the world's are not counted)."""
-    agents = [status for sender, status in recording.statuses.items() if sender > 0]
+    agents = [status for sender, status in recording.statuses.items() if sender != WORLD]
     sums = {
         name: sum(getattr(status, name) for status in agents)
         for name in ("sent", "received", "rejected", "late", "duplicate")
@@ -123,13 +129,13 @@ def _network(recording: Recording, sim_s: float) -> dict[str, Any]:
 
 
 def _mavs(analysis: Analysis) -> list[dict[str, Any]]:
-    recording = analysis.recording
-    at_s = metrics.all_localised_at(recording.states, recording.time_s)
-    wrong = metrics.wrong_commits(analysis.ours.relative, recording.states)
+    recording, states = analysis.recording, analysis.recording.beliefs.states
+    at_s = metrics.all_localised_at(states, recording.time_s)
+    wrong = metrics.wrong_commits(analysis.ours.relative, states)
     return [
         {
             "id": mav,
-            "state": STATES[metrics.last_state(recording.states, mav - 1)],
+            "state": STATES[metrics.last_state(states, mav - 1)],
             "localised_at_s": float(at_s[mav - 1]),
             "wrong_commits": int(wrong[mav - 1]),
             "restarts": 0,

@@ -129,13 +129,14 @@ def print_results(summary: dict[str, Any], folder: Path) -> None:
         table.add_section()
     console = _console()
     console.print(table)
-    mavs = summary["mavs"]
+    mavs, late = summary["mavs"], summary["late_ticks"]
     times = [mav["localised_at_s"] for mav in mavs if mav["localised_at_s"] is not None]
     when = f", all of them after {max(times):.1f} s" if len(times) == len(mavs) else ""
     console.print(
         f"{len(times)} of {len(mavs)} MAVs localised all others{when}; "
         f"{sum(mav['wrong_commits'] for mav in mavs)} wrong commits; ANEES {_number(summary['anees'])}; "
         f"{_number(summary['real_time_factor'], 1)} times real time"
+        + (f"; {late} late ticks" if summary["mode"] == "realtime" and late is not None else "")
     )
     console.print(f"{folder} (errors: {folder / 'errors.png'})", soft_wrap=True)
 

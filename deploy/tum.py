@@ -1,4 +1,8 @@
-"""Which trajectory files does a run leave? TUM format, as other tools read it: `t x y z qx qy qz qw`."""
+"""Which trajectory files does a run leave? TUM format, as other tools read it: `t x y z qx qy qz qw`.
+
+What agent I believes is given in the frame that stays where I's odometry began. I's own odometry frame is there at
+the start and drifts away from it; how far, I estimates, too.
+"""
 
 from pathlib import Path
 
@@ -11,14 +15,15 @@ from deploy.recording import Recording
 
 def export(recording: Recording, folder: Path) -> None:
     """Writes truth/, vio/ and estimate/agent_I/; an estimate begins when agent I first calls MAV J localised."""
-    since_s = metrics.localised_since(recording.states, recording.time_s)
+    absolute = recording.beliefs.absolute
+    since_s = metrics.localised_since(recording.beliefs.states, recording.time_s)
     for mav in recording.fleet.ids:
         _write(folder / "truth" / f"mav_{mav}.tum", recording.time_s, recording.truth[:, mav - 1])
         _write(folder / "vio" / f"mav_{mav}.tum", recording.time_s, recording.vio[:, mav - 1])
     for agent in recording.fleet.ids:
         for mav in recording.fleet.ids:
             begun = recording.time_s >= since_s[agent - 1, mav - 1]
-            poses = with_quaternion(recording.estimates[begun, agent - 1, mav - 1])
+            poses = with_quaternion(absolute[begun, agent - 1, mav - 1])
             _write(folder / "estimate" / f"agent_{agent}" / f"mav_{mav}.tum", recording.time_s[begun], poses)
 
 

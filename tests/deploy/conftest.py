@@ -6,10 +6,13 @@ from typing import NamedTuple
 import pytest
 
 from deploy.experiment import Experiment, load
+from deploy.log import read_log
+from deploy.recording import Recording, assemble
 from deploy.run import Result, run
 from deploy.terminal import Quiet
 
-SMALL = ("fleet.mavs=3", "fleet.duration_s=4", "agent.detector.P_D=0.8")
+TICKS = 26  # errors are scored from 2 s after localisation on
+SMALL = ("fleet.mavs=3", f"fleet.duration_s={TICKS / 10}", "agent.detector.P_D=0.8")
 
 
 class Flown(NamedTuple):
@@ -23,3 +26,13 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Flown:
     experiment = load("line", SMALL, seed=5)
     folder = tmp_path_factory.mktemp("flown") / "run"
     return Flown(experiment, folder, run(experiment, folder, True, Quiet()))
+
+
+@pytest.fixture(scope="session")
+def recording(flown: Flown) -> Recording:
+    return recording_of(flown.experiment, flown.folder)
+
+
+def recording_of(experiment: Experiment, folder: Path) -> Recording:
+    log = read_log(folder / "log.mcap")
+    return assemble(log.packets, experiment.fleet, log.origin.epoch)

@@ -3,73 +3,84 @@
 import json
 import os
 import signal
-import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import psutil
 import pytest
 
+from deploy import terminal
+from deploy.__main__ import main
 from deploy.log import read_log
-from deploy.recording import Recording, assemble
+from deploy.progress import Progress
+from deploy.recording import Recording
 from deploy.run import run
 from deploy.supervisor import Outcome
 from deploy.terminal import Quiet
-from tests.deploy.conftest import Flown
+from tests.deploy.conftest import TICKS, Flown, recording_of
 
 pytestmark = pytest.mark.system
-START = [sys.executable, "-m", "deploy", "run", "line", "--seed", "5"]
 
 
-def recording(flown: Flown, folder: Path) -> Recording:
-    log = read_log(folder / "log.mcap")
-    return assemble(log.packets, flown.experiment.fleet, log.origin.epoch)
-
-
-def test_processes_give_the_same_estimates_as_one_process_to_the_last_bit(flown: Flown, tmp_path: Path) -> None:
+def test_processes_give_the_same_estimates_as_one_process_to_the_last_bit(
+    flown: Flown, recording: Recording, tmp_path: Path
+) -> None:
     outcome, summary = run(flown.experiment, tmp_path / "run", False, Quiet())
     assert outcome == Outcome()
     assert summary is not None
-    assert (summary["transport"], summary["ticks"]) == ("zenoh", 40)
-    one, many = recording(flown, flown.folder), recording(flown, tmp_path / "run")
-    for name in ("truth", "odometry", "states", "estimates", "covariances", "innovations"):
-        assert getattr(one, name).tobytes() == getattr(many, name).tobytes(), name
+    assert (summary["transport"], summary["ticks"]) == ("zenoh", TICKS)
+    many = recording_of(flown.experiment, tmp_path / "run")
+    for name in ("truth", "odometry", "covariances", "innovations"):
+        assert getattr(recording, name).tobytes() == getattr(many, name).tobytes(), name
+    for name in many.beliefs._fields:
+        assert getattr(recording.beliefs, name).tobytes() == getattr(many.beliefs, name).tobytes(), name
     assert sum(status.sent for status in many.statuses.values()) == len(read_log(tmp_path / "run" / "log.mcap").packets)
     logs = {path.name: path.read_text() for path in (tmp_path / "run" / "logs").iterdir()}
     assert logs == dict.fromkeys(["recorder.txt", "world.txt", "mav_1.txt", "mav_2.txt", "mav_3.txt"], "")
 
 
-def launched(tmp_path: Path) -> tuple["subprocess.Popen[str]", list[psutil.Process]]:
-    """A run that would last an hour, once it is on its way: the launcher and all its processes."""
-    changes = ["fleet.mavs=3", "fleet.duration_s=3600"]
-    words = [*START, *(word for change in changes for word in ("--set", change)), "--out", str(tmp_path / "run")]
-    launcher = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert launcher.stdout is not None
-    reached_s = 0.0
-    while reached_s == 0:  # so far that all have met and something is recorded
-        line = launcher.stdout.readline()
-        assert "of 3600 s" in line
-        reached_s = float(line.split()[0])
-    return launcher, psutil.Process(launcher.pid).children(recursive=True)
+class Acting(Quiet):
+    """Does something to a run that is on its way: all processes have met and something is recorded."""
+
+    def __init__(self, act: Callable[[list[psutil.Process]], None]) -> None:
+        self._act, self._before = act, _children()
+        self.children: list[psutil.Process] = []
+
+    def show(self, progress: Progress) -> None:
+        if progress.sim_s > 0 and not self.children:
+            self.children = [child for child in _children() if child not in self._before]
+            self._act(self.children)
 
 
-def test_ctrl_c_writes_what_was_recorded(tmp_path: Path) -> None:
-    launcher, children = launched(tmp_path)
-    assert len(children) == 5
-    launcher.send_signal(signal.SIGINT)
-    _, said = launcher.communicate(timeout=30)
-    assert launcher.returncode == 130
-    assert said == f"swarm: interrupted; what was recorded is in {tmp_path / 'run'}\n"
-    assert not [child for child in children if child.is_running()]
-    assert json.loads((tmp_path / "run" / "summary.json").read_text())["ticks"] > 0
+def _children() -> list[psutil.Process]:
+    return psutil.Process().children(recursive=True)
 
 
-def test_a_killed_agent_ends_the_run_and_is_named(tmp_path: Path) -> None:
-    launcher, children = launched(tmp_path)
-    (agent,) = (child for child in children if child.cmdline()[-2:] == ["--mav", "2"])
-    os.kill(agent.pid, signal.SIGKILL)
-    _, said = launcher.communicate(timeout=30)
-    assert launcher.returncode == 1
-    assert said.startswith("swarm: mav_2 ended early (killed by SIGKILL)")
-    assert not [child for child in children if child.is_running()]
-    assert json.loads((tmp_path / "run" / "summary.json").read_text())["ticks"] > 0
+def fly_an_hour(acting: Acting, folder: Path, monkeypatch: pytest.MonkeyPatch) -> int:
+    """The exit status of a run that does not come to its end."""
+    monkeypatch.setattr(terminal, "display", lambda *_: acting)
+    changes = ["--set", "fleet.mavs=2", "--set", "fleet.duration_s=3600"]
+    status = main(["run", "line", *changes, "--out", str(folder)])
+    assert len(acting.children) == 4
+    assert not [child for child in acting.children if child.is_running()]
+    assert json.loads((folder / "summary.json").read_text())["ticks"] > 0
+    return status
+
+
+def test_ctrl_c_writes_what_was_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    acting = Acting(lambda _: os.kill(os.getpid(), signal.SIGINT))
+    assert fly_an_hour(acting, tmp_path / "run", monkeypatch) == 130
+    assert capsys.readouterr().err == f"swarm: interrupted; what was recorded is in {tmp_path / 'run'}\n"
+
+
+def test_a_killed_agent_ends_the_run_and_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def kill(children: list[psutil.Process]) -> None:
+        (agent,) = (child for child in children if child.cmdline()[-2:] == ["--mav", "2"])
+        agent.kill()
+
+    assert fly_an_hour(Acting(kill), tmp_path / "run", monkeypatch) == 1
+    assert capsys.readouterr().err.startswith("swarm: mav_2 ended early (killed by SIGKILL)")

@@ -5,11 +5,12 @@ import pytest
 
 from agent.interface import messages, topics
 from agent.interface.bus import Packet
+from agent.interface.frames import compose, relative_pose
 from deploy.clairvoyant import replay
 from deploy.log import read_log
 from deploy.recorder import Ledger
-from deploy.recording import UNKNOWN, Recording, assemble
-from tests.deploy.conftest import Flown
+from deploy.recording import UNKNOWN, Beliefs, Recording, assemble
+from tests.deploy.conftest import TICKS, Flown
 
 
 @pytest.fixture(scope="module")
@@ -21,15 +22,16 @@ def assembled(flown: Flown, packets: list[Packet]) -> Recording:
     return assemble(packets, flown.experiment.fleet, read_log(flown.folder / "log.mcap").origin.epoch)
 
 
-def test_everything_is_there(flown: Flown, packets: list[Packet]) -> None:
-    recording = assembled(flown, packets)
-    assert (recording.ticks, recording.time_s[-1]) == (40, 3.9)
+def test_everything_is_there(recording: Recording, packets: list[Packet]) -> None:
+    assert (recording.ticks, recording.time_s[-1]) == (TICKS, (TICKS - 1) / 10)
     assert recording.rejected == {}
-    for name in ("truth", "vio", "odometry", "estimates", "covariances", "innovations", "tick_us"):
+    for name in ("truth", "vio", "odometry", "covariances", "innovations", "tick_us"):
         assert np.isfinite(getattr(recording, name)).all(), name
-    assert (recording.states <= messages.LOCALISED).all()
+    assert np.isfinite(recording.beliefs.estimates).all()
+    assert (recording.beliefs.states <= messages.LOCALISED).all()
+    assert (recording.beliefs.starts[0] != recording.beliefs.starts[-1]).any(axis=1).all()  # odometry drifts
     assert recording.covariances[3, 0, 1] == pytest.approx(recording.covariances[3, 0, 1].T)
-    assert recording.detections.keys() == recording.labels.keys() == {(k, m) for k in range(40) for m in (1, 2, 3)}
+    assert recording.detections.keys() == recording.labels.keys() == {(k, m) for k in range(TICKS) for m in (1, 2, 3)}
     assert all(len(recording.detections[at]) == len(recording.labels[at]) for at in recording.labels)
     assert recording.statuses.keys() == {0, 1, 2, 3}
     assert all(status.final for status in recording.statuses.values())
@@ -41,28 +43,38 @@ def test_what_is_lost_is_nan_and_what_is_nonsense_is_counted(flown: Flown, packe
     kept = [packet for packet in packets if packet.key not in lost]
     rest = [Packet("truth/1/pose", b"\x00"), Packet("who/knows", b""), Packet("truth/9/pose", kept[1].payload)]
     recording = assembled(flown, kept + rest)
-    assert recording.ticks == 40
-    assert np.isnan(recording.estimates[:, 1]).all()
-    assert (recording.states[:, 1] == UNKNOWN).all()
-    assert np.isfinite(recording.estimates[:, [0, 2]]).all()
+    beliefs = recording.beliefs
+    assert recording.ticks == TICKS
+    for values in (beliefs.estimates, beliefs.starts, beliefs.absolute):
+        assert np.isnan(values[:, 1]).all()
+        assert np.isfinite(values[:, [0, 2]]).all()
+    assert (beliefs.states[:, 1] == UNKNOWN).all()
     assert np.isnan(recording.odometry[:, 2]).all()
     assert sum(recording.rejected.values()) == 3
 
 
 def test_a_run_that_broke_off_is_as_long_as_its_truth(flown: Flown, packets: list[Packet]) -> None:
     recording = assembled(flown, packets[: len(packets) // 2])
-    assert 15 < recording.ticks < 25
-    assert len(recording.truth) == len(recording.estimates) == recording.ticks
+    assert 1 < recording.ticks < TICKS
+    assert len(recording.truth) == len(recording.beliefs.estimates) == recording.ticks
     assert assembled(flown, []).ticks == 0
 
 
-def test_the_clairvoyant_is_fed_as_the_agents_are(flown: Flown, packets: list[Packet]) -> None:
+def test_absolute_is_as_seen_from_the_believed_start() -> None:
+    """An agent whose odometry has drifted, and knows it, sees everybody from its true start where they are."""
+    rng = np.random.default_rng(2)
+    true, drift = rng.normal(0, 1, (5, 3, 3, 4)), rng.normal(0, 1, (5, 3, 4))  # from the start; the start in odometry
+    estimates = compose(drift[:, :, None], true)
+    absolute = Beliefs(np.full((5, 3, 3), messages.LOCALISED, np.uint8), estimates, drift).absolute
+    np.testing.assert_allclose(relative_pose(absolute, true), 0, atol=1e-12)
+
+
+def test_the_clairvoyant_is_fed_as_the_agents_are(flown: Flown, recording: Recording) -> None:
     """Told nothing, the replay must be the agents' own estimates to the last bit: same inputs, same order."""
-    recording = assembled(flown, packets)
-    twin = replay(recording, flown.experiment.agent, told=False)
-    assert twin.estimates.tobytes() == recording.estimates.tobytes()
-    assert twin.states.tobytes() == recording.states.tobytes()
-    assert not np.array_equal(replay(recording, flown.experiment.agent).estimates, recording.estimates)
+    twin, believed = replay(recording, flown.experiment.agent, told=False), recording.beliefs
+    for found, expected in zip(twin, believed, strict=True):
+        assert found.tobytes() == expected.tobytes()
+    assert not np.array_equal(replay(recording, flown.experiment.agent).estimates, believed.estimates)
 
 
 def test_the_ledger_knows_what_is_missing(packets: list[Packet], flown: Flown) -> None:

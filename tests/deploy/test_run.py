@@ -9,19 +9,20 @@ import numpy as np
 import pytest
 
 from agent.interface.bus import Packet
-from deploy import composition, study
+from deploy import composition, study, terminal
 from deploy.__main__ import main
 from deploy.experiment import Experiment, load
-from deploy.log import read_log
-from deploy.recording import assemble
+from deploy.log import LogWriter, Origin, peek, read_log
+from deploy.recording import Recording, assemble
 from deploy.run import run
 from deploy.supervisor import Outcome
 from deploy.terminal import Quiet
-from tests.deploy.conftest import SMALL, Flown
+from tests.deploy.conftest import SMALL, TICKS, Flown
 
 SUMMARY = {
-    "experiment", "seed", "mode", "transport", "agents", "ticks", "sim_s", "wall_s", "real_time_factor", "relative",
-    "absolute", "naive", "clairvoyant", "anees", "nis_inside", "disagreement_m", "estimator_ms", "network", "mavs",
+    "experiment", "seed", "mode", "transport", "agents", "ticks", "sim_s", "wall_s", "real_time_factor", "late_ticks",
+    "relative", "absolute", "naive", "clairvoyant", "anees", "nis_inside", "disagreement_m", "estimator_ms", "network",
+    "mavs",
 }  # fmt: skip
 SCORE = {"rmse_m", "rmse_deg", "final_rmse_m", "final_rmse_deg", "max_m"}
 
@@ -45,15 +46,22 @@ def test_the_folder_and_the_summary_are_as_the_contract_says(flown: Flown) -> No
     assert summary["estimator_ms"].keys() == {"station_p50", "station_p99", "tick_p50", "tick_p99"}
     assert [mav["id"] for mav in summary["mavs"]] == [1, 2, 3]
     assert summary["mavs"][0].keys() == {"id", "state", "localised_at_s", "wrong_commits", "restarts"}
-    assert (summary["mode"], summary["transport"], summary["ticks"], summary["seed"]) == ("lockstep", "memory", 40, 5)
+    assert (summary["mode"], summary["transport"], summary["ticks"], summary["seed"]) == (
+        "lockstep",
+        "memory",
+        TICKS,
+        5,
+    )
+    assert summary["late_ticks"] == 0
 
 
-def test_trajectories_are_tum(flown: Flown) -> None:
+def test_trajectories_are_tum(flown: Flown, recording: Recording) -> None:
     truth = np.loadtxt(flown.folder / "truth" / "mav_2.tum")
-    assert truth.shape == (40, 8)
-    np.testing.assert_allclose(truth[:, 0], np.arange(40) / 10)
+    assert truth.shape == (TICKS, 8)
+    np.testing.assert_allclose(truth[:, 0], np.arange(TICKS) / 10)
     np.testing.assert_allclose(np.linalg.norm(truth[:, 4:], axis=1), 1, atol=1e-6)
     estimate = np.loadtxt(flown.folder / "estimate" / "agent_1" / "mav_2.tum")
+    np.testing.assert_allclose(estimate[:, 1:4], recording.beliefs.absolute[-len(estimate) :, 0, 1, :3], atol=1e-8)
     assert (estimate[:, 4:6] == 0).all()
     begun = flown.result.summary["mavs"][0]["localised_at_s"]  # type: ignore[index]
     assert estimate[0, 0] <= begun
@@ -76,23 +84,35 @@ def test_scoring_what_is_no_run_is_refused(tmp_path: Path, capsys: pytest.Captur
 
 
 def test_half_a_log_is_scored_too(flown: Flown, tmp_path: Path) -> None:
-    whole = (flown.folder / "log.mcap").read_bytes()
-    (tmp_path / "log.mcap").write_bytes(whole[: len(whole) // 2])
-    status = main(["score", str(tmp_path)])
-    if status == 0:
-        assert json.loads((tmp_path / "summary.json").read_text())["wall_s"] is None
-    else:  # not even a chunk is there
-        assert status == 1
-        assert not (tmp_path / "summary.json").exists()
+    """Of a recorder that was killed after it had saved half of the run."""
+    log = read_log(flown.folder / "log.mcap")
+    with LogWriter(tmp_path / "whole.mcap", log.origin) as writer:
+        for packet in log.packets[: len(log.packets) // 2]:
+            writer.write(packet, peek(packet.payload))
+        writer.flush()
+        (tmp_path / "log.mcap").write_bytes((tmp_path / "whole.mcap").read_bytes())
+    assert main(["score", str(tmp_path)]) == 0
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert 0 < summary["ticks"] < TICKS
+    assert summary["wall_s"] is None
+    assert summary["late_ticks"] is None  # the world has not come to say it
 
 
-def test_the_resolved_experiment_flown_again_gives_the_same_estimates(flown: Flown, tmp_path: Path) -> None:
+def test_a_log_without_a_tick_is_not_scored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with LogWriter(tmp_path / "log.mcap", Origin(1, "memory", load("line").toml())):
+        pass
+    assert main(["score", str(tmp_path)]) == 1
+    assert "no tick of the run was recorded" in capsys.readouterr().err
+    assert not (tmp_path / "summary.json").exists()
+
+
+def test_the_resolved_experiment_flown_again_gives_the_same_estimates(flown: Flown, recording: Recording) -> None:
     again = load(str(flown.folder / "experiment.toml"))
     assert again == flown.experiment
-    run(again, tmp_path / "again", True, Quiet())
-    first, second = (read_log(folder / "log.mcap") for folder in (flown.folder, tmp_path / "again"))
-    recordings = [assemble(log.packets, again.fleet, log.origin.epoch) for log in (first, second)]
-    assert recordings[0].estimates.tobytes() == recordings[1].estimates.tobytes()
+    packets: list[Packet] = []
+    composition.fly(again, 1, packets.extend)
+    second = assemble(packets, again.fleet, 1)
+    assert recording.beliefs.estimates.tobytes() == second.beliefs.estimates.tobytes()
 
 
 def timeless(summary: dict[str, Any]) -> dict[str, Any]:
@@ -103,18 +123,17 @@ def timeless(summary: dict[str, Any]) -> dict[str, Any]:
 
 
 def test_a_study_gives_the_same_numbers_with_one_and_with_two_processes(tmp_path: Path) -> None:
-    changes = [word for change in (*SMALL, "fleet.duration_s=2.5") for word in ("--set", change)]
-    words = ["study", "line", *changes, "--seeds", "5:7", "--grid", "agent.filter.gating=true,false"]
-    for jobs in (1, 2):
-        assert main([*words, "--jobs", str(jobs), "--out", str(tmp_path / str(jobs))]) == 0
-    one, two = (json.loads((tmp_path / jobs / "study.json").read_text()) for jobs in ("1", "2"))
-    assert one["cells"] == two["cells"]
-    assert [timeless(run) for run in one["runs"]] == [timeless(run) for run in two["runs"]]
-    assert [cell["grid"] for cell in one["cells"]] == [{"agent.filter.gating": on} for on in (True, False)]
-    cell = one["cells"][0]
+    changes, grid = [*SMALL, "fleet.mavs=2", "fleet.duration_s=2.2"], "agent.filter.gating=true,false"
+    one = study.run_all(study.jobs("line", changes, range(5, 7), [grid]), 1, lambda _: None).summaries
+    words = ["study", "line", *(word for change in changes for word in ("--set", change)), "--seeds", "5:7"]
+    assert main([*words, "--grid", grid, "--jobs", "2", "--out", str(tmp_path)]) == 0
+    two = json.loads((tmp_path / "study.json").read_text())
+    assert [timeless(run) for run in one] == [timeless(run) for run in two["runs"]]
+    assert [cell["grid"] for cell in two["cells"]] == [{"agent.filter.gating": on} for on in (True, False)]
+    cell = two["cells"][0]
     assert cell["seeds"] == 2
     assert cell["relative_rmse_m"]["low"] < cell["relative_rmse_m"]["mean"] < cell["relative_rmse_m"]["high"]
-    assert (tmp_path / "1" / "study.png").exists()
+    assert (tmp_path / "study.png").exists()
 
 
 def test_a_study_run_is_the_run(flown: Flown) -> None:
@@ -170,3 +189,11 @@ def test_a_run_in_one_process_that_breaks_off_says_why_and_is_scored(
     assert summary is not None
     assert summary["ticks"] == 20
     assert summary["relative"]["rmse_m"] is None  # nothing to be scored within two seconds
+
+
+def test_a_run_in_real_time_says_how_many_ticks_were_late(flown: Flown, capsys: pytest.CaptureFixture[str]) -> None:
+    assert flown.result.summary is not None
+    terminal.print_results(flown.result.summary, flown.folder)
+    assert "late ticks" not in capsys.readouterr().out
+    terminal.print_results(flown.result.summary | {"mode": "realtime", "late_ticks": 3}, flown.folder)
+    assert "3 late ticks" in capsys.readouterr().out
