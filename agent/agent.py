@@ -22,7 +22,7 @@ from agent.sensing import detections, vio
 from agent.sensing.inbox import Inbox
 from agent.sensing.neighbours import Neighbours
 
-_UPPER = np.triu_indices(4)
+_UPPER = np.ravel_multi_index(np.triu_indices(4), (4, 4))  # of a flattened covariance
 
 
 class Agent:
@@ -139,7 +139,7 @@ class Agent:
         return True
 
     def _publish_estimate(self, stamp_ns: int, beliefs: Beliefs) -> None:
-        covariances = beliefs.covariances[:, _UPPER[0], _UPPER[1]].astype("<f4")
+        covariances = beliefs.covariances.reshape(-1, 16).take(_UPPER, axis=1).astype("<f4")
         self._publish(
             topics.ESTIMATE,
             messages.Estimate,
@@ -178,7 +178,8 @@ class Agent:
     def _publish(self, topic: Topic, kind: type[messages.Header], stamp_ns: int, *fields: object) -> None:
         seq = self._seq.get(topic, 0)
         self._seq[topic] = seq + 1
-        payload = messages.encode(kind(messages.VERSION, self._epoch, self._mav, seq, stamp_ns, *fields))
+        header = (messages.VERSION, self._epoch, self._mav, seq, stamp_ns)
+        payload = messages.encode_fields(kind, *header, *fields)
         self._bus.publish(topics.key(topic, self._mav), payload)
         self._sent += 1
         self._sent_bytes += len(payload)

@@ -3,7 +3,6 @@
 import logging
 from typing import Protocol
 
-import msgspec
 import numpy as np
 
 from agent.interface import clock, messages, topics
@@ -19,7 +18,6 @@ from world.recorded import RecordedFlights
 SENDER = 0  # the world among the MAVs 1..N
 
 log = logging.getLogger("world")
-_encoder = msgspec.msgpack.Encoder()
 
 
 class Motion(Protocol):
@@ -86,12 +84,14 @@ class World:
             truth_key, labels_key, vio_key, sightings_key = self._keys[i]
             detections = self._sets[i]
             p, q = true.position[i].tobytes(), true.quaternion[i].tobytes()
-            self._publish(truth_key, _encode(messages.Truth, *header, mav, p, q))
-            self._publish(labels_key, _encode(messages.Labels, *header, mav, detections.labels.tobytes()))
+            self._publish(truth_key, messages.encode_fields(messages.Truth, *header, mav, p, q))
+            self._publish(
+                labels_key, messages.encode_fields(messages.Labels, *header, mav, detections.labels.tobytes())
+            )
             p, q = vio.position[i].tobytes(), vio.quaternion[i].tobytes()
-            self._publish(vio_key, _encode(messages.Vio, *header, p, q))
+            self._publish(vio_key, messages.encode_fields(messages.Vio, *header, p, q))
             block = messages.spherical_block(detections.spherical)
-            self._publish(sightings_key, _encode(messages.Sightings, *header, block))
+            self._publish(sightings_key, messages.encode_fields(messages.Sightings, *header, block))
         self._tick_us = clock.now_us() - began_us
 
     def step(self) -> None:
@@ -189,13 +189,6 @@ class World:
             late_ticks=self.late_ticks,
             final=True,
         )
-
-
-def _encode(kind: type[messages.Header], *fields: int | bytes) -> bytes:
-    """The same bytes as those of a message of this kind, which it does not build: that would check every field, and
-    who receives it does so anyway."""
-    assert len(fields) == len(kind.__struct_fields__)
-    return _encoder.encode(fields)
 
 
 def _motion(config: WorldConfig, fleet: Fleet) -> Motion:

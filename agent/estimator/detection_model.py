@@ -41,5 +41,7 @@ def detection_probability(detector: Detector, lines: Array, station_yaw: Array) 
     Zero outside the field of view and beyond the range. A station's roll and pitch are left out: peers do not send
     theirs.
     """
+    if detector.sees_all_around:
+        return np.where(np.vecdot(lines, lines) <= detector.max_range_m**2, detector.P_D, 0.0)
     spherical = range_and_bearing(rotate_z(-station_yaw, lines))
     return np.where(detector.in_view(spherical), detector.P_D, 0.0)

@@ -8,7 +8,7 @@ from agent.estimator.hypotheses import LOG_2PI_3_2, Assignments, Hypotheses
 from agent.estimator.small_matrices import inverses
 from agent.interface.frames import Array
 
-MOST_NATS = 600.0  # beyond it exp overflows; odds so large are certainties
+MOST_NATS = 250.0  # odds so large are certainties, and their squares still finite
 
 
 class Weighed(NamedTuple):

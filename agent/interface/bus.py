@@ -8,7 +8,7 @@ and never holds up a publisher.
 import json
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, Self
 
 import zenoh
@@ -53,7 +53,6 @@ class Network:
     connect: tuple[str, ...] = ()
     lossless: bool = True
     deny: tuple[str, ...] = ()  # key expressions (without the namespace) that this process may not receive
-    extra: dict[str, Any] = field(default_factory=dict)  # Zenoh configuration, by path, on top
 
 
 class ZenohBus:
@@ -201,42 +200,38 @@ def _config(network: Network) -> zenoh.Config:
     settings: dict[str, Any] = {
         "mode": "peer",
         "namespace": network.namespace,
-        "listen/endpoints": list(network.listen),
-        "connect/endpoints": list(network.connect),
-        "connect/timeout_ms": -1,
-        "connect/exit_on_failure": False,
-        "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
-        "scouting/delay": 0,
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-        "open/return_conditions/connect_scouted": False,
-        "transport/shared_memory/enabled": False,
-        "transport/unicast/open_timeout": 2000,
-        "transport/unicast/accept_timeout": 2000,
-        "transport/link/tx/lease": 2000,
-        "transport/link/tx/keep_alive": 4,
-        "transport/link/tx/queue/size/data": 16,
-        "transport/link/rx/max_message_size": 1 << 20,
-        "adminspace/enabled": False,
+        "listen": {"endpoints": network.listen},
+        "connect": {
+            "endpoints": network.connect,
+            "timeout_ms": -1,
+            "exit_on_failure": False,
+            "retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
+        },
+        "open": {"return_conditions": {"connect_scouted": False}},
+        "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
+        "transport": {
+            "shared_memory": {"enabled": False},
+            "unicast": {"open_timeout": 2000, "accept_timeout": 2000},
+            "link": {
+                "tx": {"lease": 2000, "keep_alive": 4, "queue": {"size": {"data": 16}}},
+                "rx": {"max_message_size": 1 << 20},
+            },
+        },
+        "adminspace": {"enabled": False},
     }
     if network.deny:
+        rule = {
+            "id": "deny",
+            "permission": "deny",
+            "flows": ["ingress", "egress"],
+            "messages": ["put", "declare_subscriber"],
+            "key_exprs": [f"{network.namespace}/{pattern}" for pattern in network.deny],
+        }
         settings["access_control"] = {
             "enabled": True,
             "default_permission": "allow",
-            "rules": [
-                {
-                    "id": "deny",
-                    "permission": "deny",
-                    "flows": ["ingress", "egress"],
-                    "messages": ["put", "declare_subscriber"],
-                    "key_exprs": [f"{network.namespace}/{pattern}" for pattern in network.deny],
-                }
-            ],
+            "rules": [rule],
             "subjects": [{"id": "anyone"}],
             "policies": [{"rules": ["deny"], "subjects": ["anyone"]}],
         }
-    settings |= network.extra
-    config = zenoh.Config()
-    for path, value in settings.items():
-        config.insert_json5(path, json.dumps(value))
-    return config
+    return zenoh.Config.from_json5(json.dumps(settings))

@@ -189,6 +189,12 @@ def encode(message: Header) -> bytes:
     return _encoder.encode(message)
 
 
+def encode_fields(kind: type[Header], *fields: object) -> bytes:
+    """What `encode(kind(*fields))` gives, without building the message: that would check every field, and who receives
+    it does so anyway."""
+    return _encoder.encode(fields)
+
+
 def decode(kind: type[M], payload: bytes, epoch: int) -> M:
     """The message in this payload.
 

@@ -40,6 +40,10 @@ class Detector(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         solid_angle = self.fov_azimuth_rad * 2 * math.sin(self.fov_elevation_rad / 2)
         return self.false_per_set / (solid_angle * self.max_range_m**3 / 3)
 
+    @property
+    def sees_all_around(self) -> bool:
+        return self.fov_azimuth_rad >= 2 * math.pi and self.fov_elevation_rad >= math.pi
+
     def in_view(self, spherical: Array) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
         """Which of the true places (..., 3) [range m, azimuth rad, elevation rad] the detector can see at all."""
         return np.asarray(

@@ -37,6 +37,12 @@ def test_round_trip(message):
 
 
 @pytest.mark.parametrize("message", EXAMPLES, ids=lambda e: type(e).__name__)
+def test_encoding_the_fields_gives_the_same_bytes(message):
+    fields = (getattr(message, name) for name in message.__struct_fields__)
+    assert m.encode_fields(type(message), *fields) == m.encode(message)
+
+
+@pytest.mark.parametrize("message", EXAMPLES, ids=lambda e: type(e).__name__)
 def test_any_msgpack_library_reads_it(message):
     assert msgpack.unpackb(m.encode(message))[:5] == list(HEADER)
 
