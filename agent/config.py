@@ -1,6 +1,6 @@
 """What can be set on an agent? The experiment's [agent] table: every parameter with unit and source."""
 
-from typing import Any, Literal
+from typing import Any
 
 import msgspec
 
@@ -28,13 +28,21 @@ class Filter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class AgentConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    start: Literal["survey"] = "survey"  # a rough measurement of where every odometry frame began
     detector: Detector = Detector()  # what the estimator believes of the detector
     odometry: Odometry = Odometry()  # what it believes of every MAV's VIO drift
     filter: Filter = Filter()
     localised_sigma_m: float = 0.15  # a MAV is called localised below this relative position uncertainty (any axis) ...
     localised_sigma_rad: float = 0.05  # ... and this relative yaw uncertainty
     wait_for_peers_s: float = 0.03  # real time only: how long a tick waits for the peers' packets
+
+    def __post_init__(self) -> None:
+        for name, value, unit in (
+            ("localised_sigma_m", self.localised_sigma_m, "m"),
+            ("localised_sigma_rad", self.localised_sigma_rad, "rad"),
+            ("wait_for_peers_s", self.wait_for_peers_s, "s"),
+        ):
+            if not 0 < value < 100:
+                raise ValueError(f"{name} = {value}: expected between 0 and 100 {unit}, both excluded")
 
 
 def parse(table: dict[str, Any]) -> AgentConfig:

@@ -8,6 +8,7 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 import argparse
 import re
+import signal
 import sys
 from pathlib import Path
 
@@ -23,6 +24,8 @@ def main(words: list[str] | None = None) -> int:
         for name, description in bundled().items():
             print(f"{name:18} {description}")
         return FINE
+    for number in (signal.SIGTERM, signal.SIGHUP):  # they end a run as Ctrl-C does
+        signal.signal(number, signal.default_int_handler)
     try:
         return _do(chosen)
     except KeyboardInterrupt:
@@ -108,7 +111,7 @@ def _study(chosen: argparse.Namespace) -> int:
     from deploy.experiment import load
     from deploy.run import folder_for
 
-    bounds = re.fullmatch(r"(\d+):(\d+)", chosen.seeds)
+    bounds = re.fullmatch(r"([0-9]{1,9}):([0-9]{1,9})", chosen.seeds)
     seeds = range(int(bounds[1]), int(bounds[2])) if bounds else range(0)
     if not seeds:
         raise BadExperiment(f"--seeds {chosen.seeds}: expected A:B with B greater than A, as in 0:20")
@@ -123,7 +126,6 @@ def _study(chosen: argparse.Namespace) -> int:
         from deploy import report, summary  # matplotlib: not for a mistake in the words
 
         content = study.evaluate(done.summaries, name, f"seeds {seeds[0]} to {seeds[-1]}")
-        folder.mkdir(parents=True, exist_ok=True)
         report.draw_study(content, folder / "study.png")
         for cell in content["cells"]:
             del cell["values"]  # they are in the runs
@@ -131,6 +133,8 @@ def _study(chosen: argparse.Namespace) -> int:
         terminal.print_study(content, folder)
     for failure in done.failures:
         _complain(failure, FAILED)
+    if not done.summaries:
+        folder.rmdir()
     if done.interrupted:
         return _complain(f"interrupted after {len(done.summaries)} of {len(wanted)} runs", INTERRUPTED)
     return FAILED if done.failures else FINE

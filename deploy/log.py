@@ -12,6 +12,7 @@ from types import TracebackType
 from typing import IO, Any, NamedTuple, Self
 
 import msgspec
+import zstandard
 from mcap.exceptions import McapError
 from mcap.records import Channel, Message, Metadata
 from mcap.stream_reader import StreamReader
@@ -155,8 +156,8 @@ def read_log(path: Path) -> Log:
                     wall_s = float(record.metadata["wall_s"])
     except OSError as error:
         raise BadLog(f"{path}: {error.strerror}") from None
-    except (McapError, struct.error):
-        pass  # the end is missing
+    except (McapError, struct.error, zstandard.ZstdError, KeyError, ValueError):
+        pass  # the end is missing, or it is damaged: what comes before counts
     if origin is None:
         raise BadLog(f"{path}: not the log of a run")
     return Log(origin, packets, wall_s)

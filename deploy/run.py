@@ -32,21 +32,24 @@ class NothingRecorded(Exception):
 
 
 def folder_for(experiment: str, out: Path | None) -> Path:
-    """Where the run goes: a directory that is not there yet, or empty; made only when the run begins.
+    """Where the results go: a directory that was not there, or empty. It is made here, before anything is started.
 
     Raises:
-        BadExperiment: there is something.
+        BadExperiment: there is something, or it cannot be made.
     """
     folder = Path("runs") / f"{experiment}-{clock.utc_text()}" if out is None else out
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise BadExperiment(f"--out {folder}: expected a directory that does not exist yet or is empty")
+    try:
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise BadExperiment(f"--out {folder}: expected a directory that does not exist yet or is empty")
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadExperiment(f"--out {folder}: cannot be made: {error.strerror}") from None
     return folder
 
 
 def run(experiment: Experiment, folder: Path, in_process: bool, display: Display) -> Result:
-    """Flies a checked experiment; whatever was recorded is scored, however the run ended."""
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "logs").mkdir()
+    """Flies a checked experiment into an empty or new folder; whatever was recorded is scored, however it ended."""
+    (folder / "logs").mkdir(parents=True)
     (folder / "experiment.toml").write_text(experiment.toml())
     epoch = secrets.randbelow(2**31)
     with display:

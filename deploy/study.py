@@ -31,6 +31,8 @@ METRICS: dict[str, Callable[[dict[str, Any]], float | None]] = {
     "wrong_commits": lambda run: float(sum(mav["wrong_commits"] for mav in run["mavs"])),
 }
 
+MOST_RUNS = 100_000
+
 
 class Job(NamedTuple):
     """One run: everything a worker needs."""
@@ -65,7 +67,17 @@ def jobs(source: str, changes: list[str], seeds: range, grid: list[str]) -> list
     """
     from deploy.composition import check
 
-    dimensions = [[(path, text) for text in texts.split(",")] for path, texts in map(_dimension, grid)]
+    named = list(map(_dimension, grid))
+    dimensions = [[(path, text.strip()) for text in texts.split(",")] for path, texts in named]
+    for path, _ in named:
+        if sum(path == other for other, _ in named) > 1:
+            raise BadExperiment(f"--grid {path}: given more than once")
+    for dimension in dimensions:
+        if len(set(dimension)) < len(dimension):
+            raise BadExperiment(f"--grid {dimension[0][0]}: a value is given more than once")
+    runs = math.prod(map(len, dimensions)) * len(seeds)
+    if runs > MOST_RUNS:
+        raise BadExperiment(f"{runs} runs: expected at most {MOST_RUNS}")
     made = []
     for cell in itertools.product(*dimensions):
         cell_changes = (*changes, *(f"{path}={text}" for path, text in cell))

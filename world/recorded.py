@@ -12,6 +12,7 @@ from agent.interface.tables import BadExperiment
 from world.poses import Poses, multiply, quaternion_of, slerp
 
 MAX_GAP_S = 0.5  # between two rows; nothing is made up across a longer one
+FARTHEST_M = 1e6  # no message says more
 
 
 class Flight(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -87,6 +88,7 @@ def read_track(path: Path, where: str) -> Track:
     length = np.linalg.norm(table[:, 4:], axis=1, keepdims=True)
     for wrong, what in (
         (~np.isfinite(table).all(axis=1), "not finite"),
+        ((np.abs(table[:, 1:4]) >= FARTHEST_M).any(axis=1), f"a position beyond {FARTHEST_M:g} m"),
         (np.abs(length[:, 0] - 1) > 0.01, "a quaternion whose length is not 1"),
         (np.diff(table[:, 0], prepend=-np.inf) <= 0, "a time that does not come after the row before"),
     ):

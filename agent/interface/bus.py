@@ -13,7 +13,8 @@ from typing import Any, NamedTuple, Protocol, Self
 
 import zenoh
 
-from agent.interface import clock
+from agent.interface import clock, topics
+from agent.interface.messages import Rejected
 
 CAPACITY = 4096  # packets an inbox holds
 POLL_S = 0.0005
@@ -70,7 +71,7 @@ class ZenohBus:
     def publish(self, key: str, payload: bytes) -> None:
         publisher = self._publishers.get(key)
         if publisher is None:
-            lossless = self.network.lossless
+            lossless = self.network.lossless or not _may_be_lost(key)
             publisher = self._publishers[key] = self._session.declare_publisher(
                 key,
                 congestion_control=zenoh.CongestionControl.BLOCK if lossless else zenoh.CongestionControl.DROP,
@@ -193,6 +194,13 @@ def _matches(pattern: str, key: str) -> bool:
     return len(expected) == len(chunks) and all(
         want in ("*", chunk) for want, chunk in zip(expected, chunks, strict=True)
     )
+
+
+def _may_be_lost(key: str) -> bool:
+    try:
+        return topics.parse(key)[0].may_be_lost
+    except Rejected:
+        return True
 
 
 def _config(network: Network) -> zenoh.Config:

@@ -62,7 +62,7 @@ def stop_on_signals() -> None:
 
 
 def _exit(*_: object) -> NoReturn:
-    raise SystemExit(0)
+    raise SystemExit(128 + signal.SIGTERM)
 
 
 def meet(bus: ZenohBus, everyone: tuple[str, ...], epoch: int) -> None:

@@ -104,7 +104,7 @@ def test_in_lockstep_it_waits_for_its_peers_and_in_real_time_it_does_not():
     rig.sensors(of=[1])
     rig.settle()
     assert not rig.published(m.Estimate)
-    rig = Rig(realtime=True, config=AgentConfig(wait_for_peers_s=0.0))
+    rig = Rig(realtime=True, config=AgentConfig(wait_for_peers_s=1e-9))
     rig.survey()
     rig.sensors(of=[1])
     rig.settle()

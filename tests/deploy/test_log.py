@@ -106,3 +106,20 @@ def test_what_is_no_log_is_refused(tmp_path: Path) -> None:
     (tmp_path / "log.mcap").write_bytes(b"something else entirely")
     with pytest.raises(BadLog, match="not the log of a run"):
         read_log(tmp_path / "log.mcap")
+
+
+def test_a_damaged_log_gives_what_came_before(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    packets = [odometry(seq) for seq in range(400)]
+    with LogWriter(path, ORIGIN) as writer:
+        for packet in packets:
+            writer.write(packet, peek(packet.payload))
+            if peek(packet.payload).seq % 50 == 49:
+                writer.flush()
+    whole = bytearray(path.read_bytes())
+    middle = len(whole) // 2
+    whole[middle : middle + 200] = bytes(200)
+    path.write_bytes(whole)
+    log = read_log(path)
+    assert log.packets == packets[: len(log.packets)]
+    assert 50 <= len(log.packets) < 400

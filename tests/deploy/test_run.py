@@ -197,3 +197,32 @@ def test_a_run_in_real_time_says_how_many_ticks_were_late(flown: Flown, capsys: 
     assert "late ticks" not in capsys.readouterr().out
     terminal.print_results(flown.result.summary | {"mode": "realtime", "late_ticks": 3}, flown.folder)
     assert "3 late ticks" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("words", [["run", "line"], ["study", "line", "--seeds", "0:1"]])
+def test_a_folder_that_cannot_be_made_is_refused_before_anything_starts(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    assert main([*words, "--out", str(tmp_path / "file" / "sub")]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("swarm: --out")
+    assert said.count("\n") == 1
+    assert "cannot be made: Not a directory" in said
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        (["--grid", "fleet.mavs=2,2"], "--grid fleet.mavs: a value is given more than once"),
+        (["--grid", "fleet.mavs=2", "--grid", "fleet.mavs=3"], "--grid fleet.mavs: given more than once"),
+        (["--seeds", "0:100001"], "100001 runs: expected at most 100000"),
+        (["--seeds", "0:99999999999"], "--seeds 0:99999999999: expected A:B"),
+    ],
+)
+def test_a_study_that_makes_no_sense_is_refused(
+    more: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["study", "line", "--seeds", "0:1", "--out", str(tmp_path / "new"), *more]) == 2
+    assert says in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()

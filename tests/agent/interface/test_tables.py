@@ -10,7 +10,7 @@ from agent.interface.tables import BadExperiment, parse_table
 @pytest.mark.parametrize(
     ("table", "says"),
     [
-        ({"strat": "survey"}, "agent.strat: there is no such key"),
+        ({"start": "survey"}, "agent.start: there is no such key"),
         ({"detector": {"P_d": 0.9}}, "agent.detector.P_d: there is no such key"),
         ({"detector": {"P_D": "high"}}, "agent.detector.P_D = 'high': expected float, got str"),
         ({"detector": {"P_D": 1.0}}, "agent.detector.P_D = 1.0: expected a probability"),
@@ -20,7 +20,9 @@ from agent.interface.tables import BadExperiment, parse_table
         ({"filter": {"P_G": 1.5}}, "P_G = 1.5: expected a probability"),
         ({"filter": {"pruned_mass": 0.5}}, "pruned_mass = 0.5: expected"),
         ({"filter": {"odometry_sigma_m": 0.0}}, "odometry_sigma_m"),
-        ({"start": "guess"}, "agent.start = 'guess': invalid enum value 'guess'"),
+        ({"localised_sigma_m": -1.0}, "agent.localised_sigma_m = -1.0: expected between 0 and 100 m"),
+        ({"localised_sigma_rad": float("nan")}, "agent.localised_sigma_rad = nan: expected between 0 and 100 rad"),
+        ({"wait_for_peers_s": float("inf")}, "agent.wait_for_peers_s = inf: expected between 0 and 100 s"),
     ],
 )
 def test_agent_table(table, says):
