@@ -58,15 +58,21 @@ def test_a_schema_names_every_field_in_order() -> None:
     assert names[5:8] == ["states", "poses", "covariances"]
 
 
-@pytest.mark.parametrize("share", [0.3, 0.6, 0.999])
-def test_a_truncated_log_gives_what_came_before(tmp_path: Path, share: float) -> None:
-    path = tmp_path / "log.mcap"
+def flushed_log(folder: Path) -> tuple[Path, list[Packet]]:
+    """A log of 400 messages that was flushed after every 50."""
+    path = folder / "log.mcap"
     packets = [odometry(seq) for seq in range(400)]
     with LogWriter(path, ORIGIN) as writer:
         for packet in packets:
             writer.write(packet, peek(packet.payload))
             if peek(packet.payload).seq % 50 == 49:
                 writer.flush()
+    return path, packets
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.999])
+def test_a_truncated_log_gives_what_came_before(tmp_path: Path, share: float) -> None:
+    path, packets = flushed_log(tmp_path)
     whole = path.read_bytes()
     path.write_bytes(whole[: int(len(whole) * share)])
     log = read_log(path)
@@ -109,13 +115,7 @@ def test_what_is_no_log_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_damaged_log_gives_what_came_before(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
-    packets = [odometry(seq) for seq in range(400)]
-    with LogWriter(path, ORIGIN) as writer:
-        for packet in packets:
-            writer.write(packet, peek(packet.payload))
-            if peek(packet.payload).seq % 50 == 49:
-                writer.flush()
+    path, packets = flushed_log(tmp_path)
     whole = bytearray(path.read_bytes())
     middle = len(whole) // 2
     whole[middle : middle + 200] = bytes(200)
