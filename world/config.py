@@ -31,6 +31,7 @@ class WorldConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     path: tuple[Leg, ...] = ()  # a simulated flight ...
     flights: tuple[Flight, ...] = ()  # ... or recorded ones, one per MAV
     flights_dir: str | None = None  # where their files are
+    random_window: bool = False  # of recorded flights: each begins anywhere from its from_s on, drawn anew by each seed
 
 
 def parse(table: dict[str, Any], fleet: Fleet) -> WorldConfig:
@@ -47,8 +48,10 @@ def parse(table: dict[str, Any], fleet: Fleet) -> WorldConfig:
             f"world: {len(config.path)} legs of a path and {len(config.flights)} recorded flights, expected one of the "
             f"two: [[world.path]] or [[world.flights]]"
         )
+    if config.random_window and not config.flights:
+        raise BadExperiment("world.random_window = true: expected [[world.flights]], simulated flights have no windows")
     if config.path:
         Scenario(config.path, fleet)
     else:
-        RecordedFlights(config.flights, config.flights_dir, fleet)
+        RecordedFlights(config.flights, config.flights_dir, fleet, config.random_window)
     return config

@@ -8,11 +8,11 @@ import numpy as np
 
 from agent.interface.fleet import Fleet
 from agent.interface.frames import Array, compose, inverse, rotation_matrix
+from agent.interface.seeds import generator
 from agent.interface.tables import BadExperiment
-from world.poses import Poses, multiply, quaternion_of, slerp
-
-MAX_GAP_S = 0.5  # between two rows; nothing is made up across a longer one
-FARTHEST_M = 1e6  # no message says more
+from world.clearance import CLEARANCE_M, are_apart, drawn_until
+from world.poses import Poses, multiply, quaternion_of
+from world.tracks import MAX_GAP_S, Track, poses_at, read_track, without_placeholders
 
 
 class Flight(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -24,21 +24,29 @@ class Flight(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     from_s: float = 0.0  # tick 0 is the first VIO row at or after this time since both files have begun
 
 
-class Track(NamedTuple):
-    """One file: K rows."""
+class Recording(NamedTuple):
+    """One flight's files."""
 
-    path: Path
-    time_s: Array  # (K,) rising
-    poses: Poses
+    truth: Track
+    vio: Track
+    start_s: Array  # (K,) rising, K > 0: the VIO rows from from_s on after which the whole duration is in both files
+    where: str  # the flight's key, for complaints
 
 
 class RecordedFlights:
     """A source of motion: `true` and `vio` are the poses of this tick, `step` goes on to the next."""
 
-    def __init__(self, flights: tuple[Flight, ...], flights_dir: str | None, fleet: Fleet) -> None:
+    def __init__(
+        self, flights: tuple[Flight, ...], flights_dir: str | None, fleet: Fleet, random_window: bool = False
+    ) -> None:
         """
+        Args:
+            random_window: every flight begins anywhere from its from_s on, whatever the others do, as the fleet's seed
+                says; but so that no two MAVs begin too close to each other.
+
         Raises:
-            BadExperiment: not one flight per MAV, or files that are missing, malformed or too short.
+            BadExperiment: not one flight per MAV, or files that are missing, malformed or too short; or every random
+                window brings MAVs too close.
         """
         if len(flights) != fleet.mavs:
             raise BadExperiment(f"world.flights: {len(flights)} flights, expected {fleet.mavs}, one per MAV")
@@ -47,7 +55,16 @@ class RecordedFlights:
                 "world.flights_dir: where are the recorded flights? give it with --set world.flights_dir=DIR"
             )
         ticks_s = np.array([fleet.stamp_ns(tick) for tick in range(fleet.ticks)]) / 1e9
-        played = [_play(flight, Path(flights_dir), f"world.flights[{k}]", ticks_s) for k, flight in enumerate(flights)]
+        duration_s = float(ticks_s[-1])
+        recordings = [
+            _open(flight, Path(flights_dir), f"world.flights[{k}]", duration_s) for k, flight in enumerate(flights)
+        ]
+        starts_s = (
+            _random_starts(recordings, duration_s, fleet.seed)
+            if random_window
+            else [float(recording.start_s[0]) for recording in recordings]
+        )
+        played = [_play(recording, start_s + ticks_s) for recording, start_s in zip(recordings, starts_s, strict=True)]
         self._true = _together([true for true, _ in played])
         self._vio = _together([vio for _, vio in played])
         self._tick = 0
@@ -66,37 +83,6 @@ class RecordedFlights:
         self._tick += 1
 
 
-def read_track(path: Path, where: str) -> Track:
-    """
-    Raises:
-        BadExperiment: no such file, or a line of it that is no pose.
-    """
-    rows: list[list[float]] = []
-    numbers: list[int] = []
-    try:
-        with path.open() as file:
-            for number, line in enumerate(file, 1):
-                text = line.partition("#")[0].replace(",", " ").split()
-                if text:
-                    rows.append(_row(text, f"{where}: {path}, line {number}"))
-                    numbers.append(number)
-    except OSError as error:
-        raise BadExperiment(f"{where}: cannot read {path}: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise BadExperiment(f"{where}: {path} is not a text file") from None
-    table = np.array(rows).reshape(-1, 8)
-    length = np.linalg.norm(table[:, 4:], axis=1, keepdims=True)
-    for wrong, what in (
-        (~np.isfinite(table).all(axis=1), "not finite"),
-        ((np.abs(table[:, 1:4]) >= FARTHEST_M).any(axis=1), f"a position beyond {FARTHEST_M:g} m"),
-        (np.abs(length[:, 0] - 1) > 0.01, "a quaternion whose length is not 1"),
-        (np.diff(table[:, 0], prepend=-np.inf) <= 0, "a time that does not come after the row before"),
-    ):
-        if wrong.any():
-            raise BadExperiment(f"{where}: {path}, line {numbers[int(wrong.argmax())]}: {what}")
-    return Track(path, table[:, 0], Poses(table[:, 1:4], table[:, 4:] / length))
-
-
 def body_rotation(truth: Track) -> Array:
     """(4,) quaternion of a MAV's body in the body that was recorded.
 
@@ -112,56 +98,57 @@ def body_rotation(truth: Track) -> Array:
     return quaternion_of(np.stack([x, np.cross(up, x), up], axis=-1))
 
 
-def _row(text: list[str], where: str) -> list[float]:
-    if len(text) != 8:
-        raise BadExperiment(f"{where}: {len(text)} columns, expected 8: t x y z qx qy qz qw")
-    try:
-        return [float(number) for number in text]
-    except ValueError as error:
-        raise BadExperiment(f"{where}: {error}") from None
-
-
-def _play(flight: Flight, folder: Path, where: str, ticks_s: Array) -> tuple[Poses, Poses]:
-    """True and VIO poses at the ticks."""
+def _open(flight: Flight, folder: Path, where: str, duration_s: float) -> Recording:
     truth = read_track(folder / flight.truth, where)
-    vio = _without_placeholders(read_track(folder / flight.vio, where))
+    vio = without_placeholders(read_track(folder / flight.vio, where))
     if not (len(truth.time_s) and len(vio.time_s)):
         raise BadExperiment(f"{where}: {flight.truth} or {flight.vio} holds no poses")
     begin = max(truth.time_s[0], vio.time_s[0]) + flight.from_s
     end = min(truth.time_s[-1], vio.time_s[-1])
-    later = vio.time_s[vio.time_s >= begin]
-    at = (later[0] if len(later) else begin) + ticks_s
-    if flight.from_s < 0 or at[-1] > end + 1e-6:
+    start_s = vio.time_s[(vio.time_s >= begin) & (vio.time_s + duration_s <= end + 1e-6)]
+    if flight.from_s < 0 or not len(start_s):
         raise BadExperiment(
-            f"{where}: {ticks_s[-1]:g} s from from_s = {flight.from_s:g} on are asked for, but {flight.truth} and "
+            f"{where}: {duration_s:g} s from from_s = {flight.from_s:g} on are asked for, but {flight.truth} and "
             f"{flight.vio} have {max(end - begin + flight.from_s, 0):.1f} s in common"
         )
-    turn = body_rotation(truth)
-    true, read = (_at(track, at, where) for track in (truth, vio))
-    return Poses(true.position, multiply(true.quaternion, turn)), Poses(read.position, multiply(read.quaternion, turn))
+    return Recording(truth, vio, start_s, where)
 
 
-def _without_placeholders(vio: Track) -> Track:
-    """Without the rows at the start that say exactly "at zero, not turned": a VIO that has not begun yet."""
-    waiting = (vio.poses.position == 0).all(axis=1) & (vio.poses.quaternion == (0, 0, 0, 1)).all(axis=1)
-    first = len(waiting) if waiting.all() else int(waiting.argmin())
-    return Track(vio.path, vio.time_s[first:], Poses(vio.poses.position[first:], vio.poses.quaternion[first:]))
+def _random_starts(recordings: list[Recording], duration_s: float, seed: int) -> list[float]:
+    """When each flight begins, in its own time: at any VIO row that will do, all alike."""
+    choices = [_gapless_starts(recording, duration_s) for recording in recordings]
+    places = [
+        poses_at(each.truth, start_s, each.where).position for each, start_s in zip(recordings, choices, strict=True)
+    ]
+    random = generator(seed, "random_window")
+    rows = drawn_until(
+        lambda rows: are_apart(np.array([place[row] for place, row in zip(places, rows, strict=True)])),
+        lambda: [int(random.integers(len(start_s))) for start_s in choices],
+        f"world.random_window = true: some MAVs are always closer than {CLEARANCE_M:g} m at the start, expected "
+        "flights that are further apart",
+    )
+    return [float(start_s[row]) for start_s, row in zip(choices, rows, strict=True)]
 
 
-def _at(track: Track, at_s: Array, where: str) -> Poses:
-    """Between rows: positions linearly, rotations along the shortest turn."""
-    time_s, poses = track.time_s, track.poses
-    after = np.clip(np.searchsorted(time_s, at_s), 1, len(time_s) - 1) if len(time_s) > 1 else np.zeros(len(at_s), int)
-    before = np.maximum(after - 1, 0)
-    gap = time_s[after] - time_s[before]
-    if gap.max() > MAX_GAP_S:
+def _gapless_starts(recording: Recording, duration_s: float) -> Array:
+    """(K,) those starts after which no gap is too long to be bridged."""
+    start_s = recording.start_s
+    for time_s in (recording.truth.time_s, recording.vio.time_s):
+        for k in np.flatnonzero(np.diff(time_s) > MAX_GAP_S):
+            start_s = start_s[(start_s > time_s[k + 1]) | (start_s + duration_s <= time_s[k])]
+    if not len(start_s):
         raise BadExperiment(
-            f"{where}: {track.path} has a gap of {gap.max():.2f} s at {time_s[before[gap.argmax()]]:.3f} s, at most "
-            f"{MAX_GAP_S:g} s are bridged"
+            f"{recording.where}: nowhere are there {duration_s:g} s without a gap of more than {MAX_GAP_S:g} s, "
+            "expected longer recordings or a shorter fleet.duration_s"
         )
-    share = np.clip((at_s - time_s[before]) / np.where(gap > 0, gap, 1), 0, 1)[:, None]
-    position = (1 - share) * poses.position[before] + share * poses.position[after]
-    return Poses(position, slerp(poses.quaternion[before], poses.quaternion[after], share))
+    return start_s
+
+
+def _play(recording: Recording, at_s: Array) -> tuple[Poses, Poses]:
+    """True and VIO poses at these times."""
+    turn = body_rotation(recording.truth)
+    true, read = (poses_at(track, at_s, recording.where) for track in (recording.truth, recording.vio))
+    return Poses(true.position, multiply(true.quaternion, turn)), Poses(read.position, multiply(read.quaternion, turn))
 
 
 def _together(poses: list[Poses]) -> Poses:

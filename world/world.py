@@ -193,7 +193,7 @@ class World:
 
 def _motion(config: WorldConfig, fleet: Fleet) -> Motion:
     if config.flights:
-        return RecordedFlights(config.flights, config.flights_dir, fleet)
+        return RecordedFlights(config.flights, config.flights_dir, fleet, config.random_window)
     from world.simulated import SimulatedFlight  # here, because recorded flights need no MuJoCo
 
     return SimulatedFlight(config, fleet)

@@ -20,6 +20,7 @@ def test_defaults_are_the_papers() -> None:
     assert config.odometry.position_sigma_m == 0.01
     assert config.detector.bearing_sigma_rad == 0.008
     assert config.start_yaw == "random"
+    assert not config.random_window
     assert parse(PATH | {"survey": "none", "start_yaw": "zero"}, Fleet()).survey == "none"
     assert parse({"path": [CIRCLE | {"center": [1, 2, 3]}]}, Fleet()).path[0].center == (1, 2, 3)
 
@@ -41,6 +42,8 @@ def test_defaults_are_the_papers() -> None:
         ({"flights": [{"truth": "a"}]}, r"world.flights\[0\].vio: this key is required"),
         ({"flights": [{"truth": "a", "vio": "b"}]}, "world.flights: 1 flights, expected 7"),
         ({"flights": [{"truth": "a", "vio": "b"}] * 7}, "world.flights_dir: where are the recorded flights"),
+        (PATH | {"random_window": True}, r"world.random_window = true: expected \[\[world.flights\]\]"),
+        (PATH | {"random_window": "yes"}, "world.random_window = 'yes': expected bool, got str"),
         (
             {"flights": [{"truth": "a", "vio": "b"}] * 7, "flights_dir": "nowhere"},
             r"world.flights\[0\]: cannot read nowhere/a: No such file",

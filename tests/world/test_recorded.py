@@ -9,7 +9,8 @@ from agent.interface.fleet import Fleet
 from agent.interface.frames import compose, inverse, relative_pose, rotate_z, rotation_matrix, wrap
 from agent.interface.tables import BadExperiment
 from world.poses import Poses, multiply, turn_z
-from world.recorded import Flight, RecordedFlights, Track, body_rotation, read_track
+from world.recorded import Flight, RecordedFlights, body_rotation
+from world.tracks import Track, read_track
 
 EUROC = Path(__file__).parents[3] / "shared" / "datasets" / "euroc_vio"
 X_UP = np.array([np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0])  # recorded body in ours: its x axis is our z, its z our x

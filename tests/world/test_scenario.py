@@ -6,7 +6,8 @@ import pytest
 
 from agent.interface.fleet import Fleet
 from agent.interface.tables import BadExperiment
-from world.scenario import PEAK_ACCELERATION, PEAK_SPEED, Leg, Scenario
+from world.clearance import PEAK_ACCELERATION, PEAK_SPEED
+from world.scenario import Leg, Scenario
 
 YAW = np.zeros(7)
 CIRCLE = Leg("circle", radius_m=1.35, hold_s=2)
