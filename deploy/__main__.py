@@ -22,7 +22,7 @@ def main(words: list[str] | None = None) -> int:
     chosen = _parser().parse_args(words)
     if chosen.command == "list":
         for name, description in bundled().items():
-            print(f"{name:18} {description}")
+            print(f"{name:21} {description}")
         return FINE
     for number in (signal.SIGTERM, signal.SIGHUP):  # they end a run as Ctrl-C does
         signal.signal(number, signal.default_int_handler)
@@ -83,7 +83,7 @@ def _what(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(chosen: argparse.Namespace) -> int:
-    from deploy import terminal
+    from deploy import results, terminal
     from deploy.composition import check
     from deploy.experiment import load
     from deploy.run import folder_for, run
@@ -96,7 +96,7 @@ def _run(chosen: argparse.Namespace) -> int:
     if chosen.quiet:
         print(folder)
     elif summary is not None:
-        terminal.print_results(summary, folder)
+        results.print_results(summary, folder)
     if outcome.failure is not None:
         return _complain(outcome.failure, FAILED)
     if outcome.interrupted:
@@ -123,14 +123,14 @@ def _study(chosen: argparse.Namespace) -> int:
     folder = folder_for(f"study-{name}", chosen.out)
     done = study.run_all(wanted, min(chosen.jobs or cores, len(wanted)), terminal.counter(len(wanted)))
     if done.summaries:
-        from deploy import report, summary  # matplotlib: not for a mistake in the words
+        from deploy import report, results, summary  # matplotlib: not for a mistake in the words
 
         content = study.evaluate(done.summaries, name, f"seeds {seeds[0]} to {seeds[-1]}")
         report.draw_study(content, folder / "study.png")
         for cell in content["cells"]:
             del cell["values"]  # they are in the runs
         (folder / "study.json").write_text(summary.to_json(content))
-        terminal.print_study(content, folder)
+        results.print_study(content, folder)
     for failure in done.failures:
         _complain(failure, FAILED)
     if not done.summaries:
@@ -141,10 +141,10 @@ def _study(chosen: argparse.Namespace) -> int:
 
 
 def _score(chosen: argparse.Namespace) -> int:
-    from deploy import terminal
+    from deploy import results
     from deploy.run import score
 
-    terminal.print_results(score(chosen.folder), chosen.folder)
+    results.print_results(score(chosen.folder), chosen.folder)
     return FINE
 
 

@@ -12,14 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from agent.interface.frames import Array, compose, inverse, relative_pose, rotate_z, wrap
-from agent.interface.messages import LOCALISED, SEARCHING
+from agent.interface.messages import LOCALISED
 
 Mask = npt.NDArray[np.bool_]
 States = npt.NDArray[np.uint8]
 
 SETTLING_S = 2.0  # an estimate is scored from so long after its MAV was called localised
 FINAL_S = 2.0  # "final" is the end of the run, so long
-WRONG_M, WRONG_RAD = 0.5, np.deg2rad(10.0)  # beyond either, calling a MAV localised is a wrong commit
 
 
 class Errors(NamedTuple):
@@ -77,16 +76,8 @@ def errors(estimated: Array, true: Array) -> Errors:
     return Errors(position, yaw)
 
 
-def localised_since(states: States, time_s: Array) -> Array:
-    """(N, N) s when agent i first called j localised; NaN: never."""
-    called = states == LOCALISED
-    if not len(called):
-        return np.full(states.shape[1:], np.nan)
-    return np.where(called.any(axis=0), time_s[called.argmax(axis=0)], np.nan)
-
-
 def settled(since_s: Array, time_s: Array) -> Mask:
-    """(K, N, N) the pairs and ticks that are scored, from `localised_since`."""
+    """(K, N, N) the pairs and ticks that are scored, from `commits.localised_since`."""
     return np.asarray(time_s[:, None, None] >= since_s[None] + SETTLING_S - 1e-9)
 
 
@@ -199,28 +190,3 @@ def disagreement_m(estimates: Array, states: States) -> float:
         if np.isfinite(apart).any():
             largest.append(np.sqrt(np.nanmax(apart)))
     return float(np.percentile(largest, 95)) if largest else float("nan")
-
-
-def wrong_commits(relative_error: Errors, states: States) -> npt.NDArray[np.int64]:
-    """(N,) how many MAVs each agent at some time called localised although the relative error was beyond the limits."""
-    wrong = (relative_error.position_m > WRONG_M) | (relative_error.yaw_rad > WRONG_RAD)
-    return np.asarray(((states == LOCALISED) & wrong).any(axis=0).sum(axis=1), np.int64)
-
-
-def all_localised_at(states: States, time_s: Array) -> Array:
-    """(N,) s when each agent first called all others localised at once; NaN: never."""
-    others = states.copy()
-    mavs = np.arange(states.shape[1])
-    others[:, mavs, mavs] = LOCALISED
-    everyone = (others == LOCALISED).all(axis=2)
-    if not len(everyone):
-        return np.full(len(mavs), np.nan)
-    return np.where(everyone.any(axis=0), time_s[everyone.argmax(axis=0)], np.nan)
-
-
-def last_state(states: States, agent: int) -> int:
-    """What agent (index) in its last estimate said of the MAV it knows least about; searching if it never spoke."""
-    spoken = np.flatnonzero(states[:, agent, agent] <= LOCALISED)
-    if not spoken.size:
-        return SEARCHING
-    return int(np.delete(states[spoken[-1], agent], agent).min(initial=LOCALISED))

@@ -12,8 +12,8 @@ from agent.interface import messages, topics
 from agent.interface.bus import Packet
 from agent.interface.fleet import Fleet
 from agent.interface.frames import Array, relative_pose
-from agent.interface.messages import LOCALISED, floats
-from deploy import metrics
+from agent.interface.messages import LOCALISED, SEARCHING, floats
+from deploy import commits, metrics
 from deploy.recording import pose_of
 
 KEPT = 4  # truths of the last ticks: estimates lag
@@ -22,8 +22,10 @@ KEPT = 4  # truths of the last ticks: estimates lag
 class MavProgress(msgspec.Struct, frozen=True):
     id: int
     state: str  # of the other MAV that it knows least about
+    least_known: int | None  # which that is; None: all are localised, or it has said nothing yet
+    reason: str  # why that one is not localised, in words; "" if none was given
     localised: int  # how many other MAVs it calls localised
-    error_m: float | None  # root mean square, over the others, of the relative positions it believes; None: unknown
+    error_m: float | None  # root mean square, over those it calls localised, of their relative positions; None: unknown
 
 
 class Progress(msgspec.Struct, frozen=True):
@@ -39,12 +41,16 @@ class Watch:
         self._estimate_keys = {topics.key(topics.ESTIMATE, mav): mav for mav in fleet.ids}
         self._truths: dict[int, deque[bytes]] = {mav: deque(maxlen=KEPT) for mav in fleet.ids}
         self._estimates: dict[int, bytes] = {}
+        self._registration_keys = {topics.key(topics.REGISTRATION, mav): mav for mav in fleet.ids}
+        self._registrations: dict[int, bytes] = {}
 
     def see(self, packet: Packet) -> None:
         if (mav := self._truth_keys.get(packet.key)) is not None:
             self._truths[mav].append(packet.payload)
         elif (mav := self._estimate_keys.get(packet.key)) is not None:
             self._estimates[mav] = packet.payload
+        elif (mav := self._registration_keys.get(packet.key)) is not None:
+            self._registrations[mav] = packet.payload
 
     def now(self) -> Progress:
         truths: dict[int, Array] = {}  # by stamp, (N, 4)
@@ -58,21 +64,27 @@ class Watch:
         return Progress(max(truths, default=0) / 1e9, self._fleet.duration_s, mavs)
 
     def _of(self, mav: int, truths: dict[int, Array]) -> MavProgress:
-        payload, N = self._estimates.get(mav), self._fleet.mavs
-        estimate = self._decoded(messages.Estimate, payload) if payload is not None else None
-        if estimate is None or len(estimate.states) != N:
-            return MavProgress(mav, messages.STATES[0], 0, None)
-        others = [state for j, state in enumerate(estimate.states) if j != mav - 1]
+        estimate = self._decoded(messages.Estimate, self._estimates.get(mav))
+        if estimate is None or len(estimate.states) != self._fleet.mavs:
+            return MavProgress(mav, messages.STATES[SEARCHING], None, "", 0, None)
+        least, reason = commits.least_known(estimate.states, mav - 1), ""
+        if least.mav is not None:
+            registration = self._decoded(messages.Registration, self._registrations.get(mav))
+            if registration is not None and len(registration.reasons) == self._fleet.mavs:
+                reason = registration.reasons[least.mav]
+        localised = [j for j, state in enumerate(estimate.states) if state == LOCALISED and j != mav - 1]
         error_m = None
-        if (true := truths.get(estimate.stamp_ns)) is not None and len(others) > 0:
-            believed = floats(estimate.poses).reshape(N, 4)
+        if (true := truths.get(estimate.stamp_ns)) is not None:
+            believed = floats(estimate.poses).reshape(-1, 4)
             error = relative_pose(believed[mav - 1], believed) - relative_pose(true[mav - 1], true)
-            value = metrics.rms(np.linalg.norm(np.delete(error, mav - 1, axis=0)[:, :3], axis=-1))
+            value = metrics.rms(np.linalg.norm(error[localised, :3], axis=-1))
             error_m = value if np.isfinite(value) else None
-        worst = min(others, default=LOCALISED)
-        return MavProgress(mav, messages.STATES[worst], others.count(LOCALISED), error_m)
+        number = None if least.mav is None else least.mav + 1
+        return MavProgress(mav, messages.STATES[least.state], number, reason, len(localised), error_m)
 
-    def _decoded(self, kind: type[messages.M], payload: bytes) -> messages.M | None:
+    def _decoded(self, kind: type[messages.M], payload: bytes | None) -> messages.M | None:
+        if payload is None:
+            return None
         try:
             return messages.decode(kind, payload, self._epoch)
         except messages.Rejected:

@@ -65,6 +65,7 @@ class Recording:
     detections: dict[tuple[int, int], Array]  # (tick, MAV number) -> (M, 3) range m, azimuth rad, elevation rad
     labels: dict[tuple[int, int], npt.NDArray[np.int64]]  # (tick, MAV number) -> (M,) MAV number, 0 a false detection
     surveys: dict[int, Survey]  # by MAV number
+    registrations: dict[int, messages.Registration]  # the last one of each agent that sent any, by MAV number
     statuses: dict[int, messages.Status]  # the last one of each sender; 0 is the world
     rejected: dict[str, int] = field(default_factory=dict)  # packets that are not messages of the run, by reason
 
@@ -111,6 +112,7 @@ class _Builder:
         self.detections: dict[tuple[int, int], Array] = {}
         self.labels: dict[tuple[int, int], npt.NDArray[np.int64]] = {}
         self.surveys: dict[int, Survey] = {}
+        self.registrations: dict[int, messages.Registration] = {}
         self.statuses: dict[int, messages.Status] = {}
         self.rejected: dict[str, int] = {}
 
@@ -153,6 +155,11 @@ class _Builder:
                 self.covariances[k, i][:, UPPER[0], UPPER[1]] = upper
                 self.covariances[k, i][:, UPPER[1], UPPER[0]] = upper
                 self.innovations[k, i] = message.innovations, message.innovations_inside
+            case messages.Registration():
+                self._expect(len(message.reasons) == N, f"a registration of {len(message.reasons)} MAVs")
+                before = self.registrations.get(mav)
+                if before is None or message.seq > before.seq:
+                    self.registrations[mav] = message
 
     def _add_status(self, status: messages.Status) -> None:
         before = self.statuses.get(status.sender)
@@ -191,6 +198,7 @@ class _Builder:
             detections=self.detections,
             labels=self.labels,
             surveys=self.surveys,
+            registrations=self.registrations,
             statuses=self.statuses,
             rejected=self.rejected,
         )

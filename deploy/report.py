@@ -10,7 +10,7 @@ from matplotlib.figure import Figure  # not pyplot, which keeps every figure and
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from agent.interface.frames import Array
-from deploy import metrics
+from deploy import commits, metrics
 from deploy.summary import Analysis, Course
 
 # Okabe and Ito's colours, told apart by everyone; line styles and markers tell them apart in grey.
@@ -27,7 +27,7 @@ def draw_errors(analysis: Analysis, experiment: str, path: Path) -> None:
     """Relative and absolute error over time: RMSE in m and deg, and the paper's squared sums."""
     recording = analysis.recording
     courses = {"ours": analysis.ours, "clairvoyant": analysis.clairvoyant, "naive": analysis.naive}
-    localised = metrics.all_localised_at(recording.beliefs.states, recording.time_s)
+    localised = commits.all_localised_at(recording.beliefs.states, recording.time_s)
     with rc_context(SMALL):
         figure = Figure(figsize=(10.5, 5.6))
         axes = figure.subplots(2, 3, sharex=True)

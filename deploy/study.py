@@ -29,6 +29,11 @@ METRICS: dict[str, Callable[[dict[str, Any]], float | None]] = {
     "disagreement_m": lambda run: run["disagreement_m"],
     "localised_at_s": lambda run: _latest(run["mavs"]),
     "wrong_commits": lambda run: float(sum(mav["wrong_commits"] for mav in run["mavs"])),
+    "commit_nees": lambda run: run["registration"]["commit_nees"],
+    "position_1s_m": lambda run: run["registration"]["position_1s_m"],
+    "yaw_1s_rad": lambda run: run["registration"]["yaw_1s_rad"],
+    "position_1s_p95_m": lambda run: run["registration"]["position_1s_p95_m"],
+    "yaw_1s_p95_rad": lambda run: run["registration"]["yaw_1s_p95_rad"],
 }
 
 MOST_RUNS = 100_000
@@ -175,9 +180,31 @@ def evaluate(summaries: list[dict[str, Any]], experiment: str, seeds: str) -> di
         cell: dict[str, Any] = {"grid": runs[0]["grid"], "seeds": len(runs)}
         cell["values"] = {name: [metric(run) for run in runs] for name, metric in METRICS.items()}
         cell |= {name: interval(values) for name, values in cell["values"].items()}
+        cell |= _localisation(runs)
+        cell["localised_at_s"]["p95"] = percentile_95(cell["values"]["localised_at_s"])
+        wrong = cell["values"]["wrong_commits"]
+        cell["wrong_commits"] |= {"total": int(sum(wrong)), "runs": sum(each > 0 for each in wrong)}
         cell["anees_band"] = anees_band(len(runs), runs[0]["agents"])._asdict()
         cells.append(cell)
     return {"experiment": experiment, "seeds": seeds, "runs": summaries, "cells": cells}
+
+
+def _localisation(runs: list[dict[str, Any]]) -> dict[str, float | None]:
+    """Shares of the runs, and the largest cost of a tick."""
+    ticks = [run["estimator_ms"]["tick_p99"] for run in runs]
+    return {
+        "all_localised": sum(_latest(run["mavs"]) is not None for run in runs) / len(runs),
+        "ambiguous_to_the_end": sum(all(mav["state"] == "ambiguous" for mav in run["mavs"]) for run in runs)
+        / len(runs),
+        "largest_tick_p99_ms": max((each for each in ticks if each is not None), default=None),
+    }
+
+
+def percentile_95(times_s: list[float | None]) -> float | None:
+    """The time that 95 % of the runs did not exceed, None in it being never; and so is None as the answer."""
+    ordered = sorted(math.inf if each is None else each for each in times_s)
+    least = ordered[math.ceil(len(ordered) * 95 / 100) - 1]  # no mean of two, of which one may be infinite
+    return least if math.isfinite(least) else None
 
 
 def interval(values: list[float | None]) -> dict[str, float | None]:

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from agent.interface.frames import Array
-from agent.interface.messages import STATES
-from deploy import metrics
+from agent.interface.messages import LOCALISED, STATES, floats
+from deploy import commits, metrics
 from deploy.metrics import Errors, Mask, Score
 from deploy.recording import Beliefs, Recording
 
@@ -50,7 +50,7 @@ def analyse(recording: Recording, twin: Beliefs) -> Analysis:
         return Course(relative, metrics.errors(absolute, true_absolute), known, scored)
 
     def believed(beliefs: Beliefs) -> Course:
-        return course(beliefs.absolute, metrics.localised_since(beliefs.states, time_s))
+        return course(beliefs.absolute, commits.localised_since(beliefs.states, time_s))
 
     ours, always = recording.beliefs, np.full(recording.beliefs.states.shape[1:], -np.inf)
     return Analysis(
@@ -95,6 +95,7 @@ def summarise(analysis: Analysis, circumstances: Circumstances) -> dict[str, Any
         "anees": metrics.anees(analysis.nees, analysis.ours.scored),
         "nis_inside": metrics.nis_inside(recording.innovations),
         "disagreement_m": metrics.disagreement_m(recording.beliefs.estimates, recording.beliefs.states),
+        "registration": _registration(analysis),
         "estimator_ms": _estimator_ms(recording),
         "network": _network(recording, sim_s),
         "mavs": _mavs(analysis),
@@ -105,6 +106,12 @@ def summarise(analysis: Analysis, circumstances: Circumstances) -> dict[str, Any
 
 def to_json(content: dict[str, Any]) -> str:
     return json.dumps(content, indent=2, allow_nan=False) + "\n"
+
+
+def _registration(analysis: Analysis) -> dict[str, float]:
+    recording = analysis.recording
+    found = commits.at_commit(recording.beliefs.states, analysis.nees, analysis.ours.relative, recording.time_s)
+    return found._asdict()
 
 
 def _estimator_ms(recording: Recording) -> dict[str, float]:
@@ -130,18 +137,26 @@ def _network(recording: Recording, sim_s: float) -> dict[str, Any]:
 
 def _mavs(analysis: Analysis) -> list[dict[str, Any]]:
     recording, states = analysis.recording, analysis.recording.beliefs.states
-    at_s = metrics.all_localised_at(states, recording.time_s)
-    wrong = metrics.wrong_commits(analysis.ours.relative, states)
-    return [
-        {
-            "id": mav,
-            "state": STATES[metrics.last_state(states, mav - 1)],
-            "localised_at_s": float(at_s[mav - 1]),
-            "wrong_commits": int(wrong[mav - 1]),
-            "restarts": 0,
-        }
-        for mav in recording.fleet.ids
-    ]
+    at_s = commits.all_localised_at(states, recording.time_s)
+    wrong = commits.wrong_commits(analysis.ours.relative, states)
+    content = []
+    for mav in recording.fleet.ids:
+        least, registration = commits.least_known_at_last(states, mav - 1), recording.registrations.get(mav)
+        reason = "" if least.state == LOCALISED else None
+        if least.mav is not None and registration is not None:
+            reason = registration.reasons[least.mav] or None
+        content.append(
+            {
+                "id": mav,
+                "state": STATES[least.state],
+                "reason": reason,
+                "hypotheses": None if registration is None else len(floats(registration.weights)),
+                "localised_at_s": float(at_s[mav - 1]),
+                "wrong_commits": int(wrong[mav - 1]),
+                "restarts": 0,
+            }
+        )
+    return content
 
 
 def _strict(value: Any) -> Any:

@@ -1,20 +1,25 @@
-"""What does a person see? Progress of a run, results and studies on the terminal."""
+"""What does a person see while it lasts? The progress of a run or a study on the terminal."""
 
 import math
 import sys
+import textwrap
+from collections import Counter
 from collections.abc import Callable
-from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Protocol, Self
 
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
+from rich.text import Text
 
-from agent.interface import clock
+from agent.interface import clock, messages
+from agent.interface.messages import STATES
 from deploy.progress import Progress
 
 PLAIN_S = 2.0  # between lines when nobody watches
+REASON_WIDTH = 60  # characters of such a line
+LOCALISED = STATES[messages.LOCALISED]
 
 
 class Display(Protocol):
@@ -52,14 +57,8 @@ class Plain(Quiet):
     def show(self, progress: Progress) -> None:
         if clock.now_s() - self._last_s >= PLAIN_S:
             self._last_s = clock.now_s()
-            localised = sum(mav.state == "localised" for mav in progress.mavs)
-            errors = [mav.error_m for mav in progress.mavs if mav.error_m is not None]
-            error = f"{max(errors):.2f} m" if errors else "unknown"
-            print(
-                f"{progress.sim_s:6.1f} of {progress.of_s:g} s, {self._pace.words(progress)}; {localised} of "
-                f"{len(progress.mavs)} MAVs have localised all others, largest relative error {error}",
-                flush=True,
-            )
+            print(f"{progress.sim_s:6.1f} of {progress.of_s:g} s, {self._pace.words(progress)}; {in_words(progress)}")
+            sys.stdout.flush()
 
     def say(self, words: str) -> None:
         print(words, flush=True)
@@ -75,14 +74,7 @@ class OnTerminal(Quiet):
 
     def show(self, progress: Progress) -> None:
         caption = f"{progress.sim_s:.1f} of {progress.of_s:g} s, {self._pace.words(progress)}"
-        table = Table(title=self._title, caption=caption, title_justify="left", caption_justify="left")
-        for heading in ("MAV", "state", "localised", "relative error"):
-            table.add_column(heading, justify="left" if heading == "state" else "right")
-        others = len(progress.mavs) - 1
-        for mav in progress.mavs:
-            error = "" if mav.error_m is None else f"{mav.error_m:.3f} m"
-            table.add_row(str(mav.id), mav.state, f"{mav.localised} of {others}", error)
-        self._live.update(table, refresh=True)
+        self._live.update(as_table(progress, self._title, caption), refresh=True)
 
     def say(self, words: str) -> None:
         self._live.console.print(words)
@@ -93,6 +85,37 @@ class OnTerminal(Quiet):
 
     def __exit__(self, *_: object) -> None:
         self._live.stop()
+
+
+def in_words(progress: Progress) -> str:
+    """How many agents are in which state, with one of the reasons, and how far off they are."""
+    count = Counter(mav.state for mav in progress.mavs)
+    words = f"{count[LOCALISED]} of {len(progress.mavs)} MAVs have localised all others"
+    words += "".join(f", {count[state]} {state}" for state in reversed(STATES) if state != LOCALISED and count[state])
+    given = [mav for mav in progress.mavs if mav.reason]
+    if given:
+        reason = textwrap.shorten(given[0].reason, REASON_WIDTH, placeholder=" ...")
+        words += f" (MAV {given[0].id} about MAV {given[0].least_known}: {reason})"
+    errors = [mav.error_m for mav in progress.mavs if mav.error_m is not None]
+    return f"{words}, largest relative error " + (f"{max(errors):.2f} m" if errors else "unknown")
+
+
+def as_table(progress: Progress, title: str, caption: str) -> Table:
+    """One row per agent; the reasons take the width that is left, if there are any."""
+    table = Table(title=title, caption=caption, title_justify="left", caption_justify="left")
+    for heading in ("MAV", "state", "localised", "relative error"):
+        table.add_column(heading, justify="left" if heading == "state" else "right", no_wrap=True)
+    reasons = any(mav.reason for mav in progress.mavs)
+    if reasons:
+        table.add_column("why")
+    for mav in progress.mavs:
+        error = "" if mav.error_m is None else f"{mav.error_m:.3f} m"
+        cells: list[str | Text] = [str(mav.id), mav.state, f"{mav.localised} of {len(progress.mavs) - 1}", error]
+        if reasons:
+            why = f"MAV {mav.least_known}: {mav.reason}" if mav.reason else ""
+            cells.append(Text(why, no_wrap=True, overflow="ellipsis"))  # as it is: brackets are no mark-up
+        table.add_row(*cells)
+    return table
 
 
 class Pace:
@@ -115,58 +138,6 @@ def display(title: str, quiet: bool) -> Display:
     return OnTerminal(title) if sys.stdout.isatty() else Plain()
 
 
-def print_results(summary: dict[str, Any], folder: Path) -> None:
-    """The errors of one run beside those of the baselines, and where everything is."""
-    title = f"{summary['experiment']}, seed {summary['seed']}: errors over all pairs of MAVs"
-    table = Table(title=title, title_justify="left")
-    for heading in ("pose", "estimated by", "RMSE m", "RMSE deg", "final m", "final deg", "max m"):
-        table.add_column(heading, justify="left" if heading in ("pose", "estimated by") else "right", no_wrap=True)
-    rows = {"ours": summary, "clairvoyant": summary["clairvoyant"], "naive": summary["naive"]}
-    for kind in ("relative", "absolute"):
-        for row, scores in rows.items():
-            keys = ("rmse_m", "rmse_deg", "final_rmse_m", "final_rmse_deg", "max_m")
-            table.add_row(kind if row == "ours" else "", row, *(_number(scores[kind][key]) for key in keys))
-        table.add_section()
-    console = _console()
-    console.print(table)
-    mavs, late = summary["mavs"], summary["late_ticks"]
-    times = [mav["localised_at_s"] for mav in mavs if mav["localised_at_s"] is not None]
-    when = f", all of them after {max(times):.1f} s" if len(times) == len(mavs) else ""
-    console.print(
-        f"{len(times)} of {len(mavs)} MAVs localised all others{when}; "
-        f"{sum(mav['wrong_commits'] for mav in mavs)} wrong commits; ANEES {_number(summary['anees'])}; "
-        f"{_number(summary['real_time_factor'], 1)} times real time"
-        + (f"; {late} late ticks" if summary["mode"] == "realtime" and late is not None else "")
-    )
-    console.print(f"{folder} (errors: {folder / 'errors.png'})", soft_wrap=True)
-
-
-def print_study(study: dict[str, Any], folder: Path) -> None:
-    """One row per cell: mean and 95 % interval."""
-    table = Table(title=f"{len(study['runs'])} runs; mean and its 95 % t interval", title_justify="left")
-    for name in study["cells"][0]["grid"]:
-        table.add_column(name)
-    for name in (
-        "runs", "relative RMSE m", "/ clairvoyant", "/ naive", "ANEES", "consistent\nANEES", "localised\nafter s",
-        "wrong\ncommits",
-    ):  # fmt: skip
-        table.add_column(name, justify="right")
-    metrics = ("relative_rmse_m", "ratio_to_clairvoyant", "ratio_to_naive", "anees")
-    for cell in study["cells"]:
-        band = cell["anees_band"]
-        table.add_row(
-            *(str(value) for value in cell["grid"].values()),
-            str(cell["seeds"]),
-            *(_interval(cell[name]) for name in metrics),
-            f"{band['low']:.2f}..{band['high']:.2f}",
-            _interval(cell["localised_at_s"], 1),
-            _number(cell["wrong_commits"]["mean"], 2),
-        )
-    console = _console()
-    console.print(table)
-    console.print(str(folder), soft_wrap=True)
-
-
 def counter(total: int) -> Callable[[int], None]:
     """A progress line with the time that is left, rewritten in its place on a terminal."""
     began_s = clock.now_s()
@@ -179,19 +150,3 @@ def counter(total: int) -> Callable[[int], None]:
         print(f"\r{words}   " if in_place else words, end="\n" if done == total or not in_place else "", flush=True)
 
     return show
-
-
-def _console() -> Console:
-    # A table that is not looked at by a person is not to be cut at 80 columns.
-    return Console(highlight=False, width=None if sys.stdout.isatty() else 140)
-
-
-def _number(value: float | None, digits: int = 3) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"
-
-
-def _interval(metric: dict[str, float | None], digits: int = 3) -> str:
-    mean, low, high = metric["mean"], metric["low"], metric["high"]
-    if mean is None:
-        return "-"
-    return f"{mean:.{digits}f}" if low is None else f"{mean:.{digits}f}\n{low:.{digits}f}..{high:.{digits}f}"

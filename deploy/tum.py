@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from agent.interface.frames import Array
-from deploy import metrics
+from deploy import commits
 from deploy.recording import Recording
 
 
 def export(recording: Recording, folder: Path) -> None:
     """Writes truth/, vio/ and estimate/agent_I/; an estimate begins when agent I first calls MAV J localised."""
     absolute = recording.beliefs.absolute
-    since_s = metrics.localised_since(recording.beliefs.states, recording.time_s)
+    since_s = commits.localised_since(recording.beliefs.states, recording.time_s)
     for mav in recording.fleet.ids:
         _write(folder / "truth" / f"mav_{mav}.tum", recording.time_s, recording.truth[:, mav - 1])
         _write(folder / "vio" / f"mav_{mav}.tum", recording.time_s, recording.vio[:, mav - 1])

@@ -14,8 +14,10 @@ import numpy as np
 from agent.interface.frames import Array
 
 VERSION = 1
-MAX_BYTES = 65_536  # no message of 50 MAVs comes near it
+MAX_BYTES = 65_536  # no message of 50 MAVs is as long
 MAX_DETECTIONS = 256
+MAX_HYPOTHESES = 16
+MAX_REASON = 200  # characters
 SEARCHING, AMBIGUOUS, LOCALISED = range(3)
 STATES = ("searching", "ambiguous", "localised")
 
@@ -108,6 +110,30 @@ class Estimate(Header, frozen=True):
         _expect_floats("poses", self.poses, 4 * len(self.states), limit=1e6)
         _expect_floats("covariances", self.covariances, 10 * len(self.states), dtype="<f4", limit=1e12)
         _expect_floats("start", self.start, 4, limit=1e6)
+
+
+class Registration(Header, frozen=True):
+    """Why the sender has not localised everybody, and which joint hypotheses compete: at every tick at which somebody
+    is not localised, and once more when everybody is."""
+
+    reasons: tuple[str, ...]  # (N,) why a MAV is not localised, in words; "" for one that is
+    weights: bytes  # (K,) of the joint hypotheses, 0 to 1, best first
+    placed: bytes  # uint8 (K, N): 1 where a hypothesis says where a MAV is, else 0
+    poses: bytes  # float32 (K, N, 4): x y z m, yaw rad in the sender's odometry frame; zeros where not placed
+
+    def __post_init__(self) -> None:
+        if not all(len(words) <= MAX_REASON and words.isprintable() for words in self.reasons):
+            raise ValueError(f"reasons: expected one line of at most {MAX_REASON} characters each")
+        _expect_floats("weights", self.weights, None, limit=1 + 1e-9)
+        weights, mavs = floats(self.weights), len(self.reasons)
+        if len(weights) > MAX_HYPOTHESES or (weights < 0).any():
+            raise ValueError(f"weights: expected at most {MAX_HYPOTHESES}, of 0 to 1")
+        if len(self.placed) != len(weights) * mavs or any(place > 1 for place in self.placed):
+            raise ValueError(f"placed: {len(self.placed)} bytes, expected {len(weights)} times {mavs}, each 0 or 1")
+        _expect_floats("poses", self.poses, 4 * len(self.placed), dtype="<f4", limit=1e6)
+        absent = np.frombuffer(self.placed, np.uint8) == 0
+        if np.frombuffer(self.poses, "<f4").reshape(-1, 4)[absent].any():
+            raise ValueError("poses: expected zeros where not placed")
 
 
 class Setpoint(Header, frozen=True):
@@ -208,7 +234,7 @@ def decode(kind: type[M], payload: bytes, epoch: int) -> M:
         decoder = _decoders[kind] = msgspec.msgpack.Decoder(kind)
     try:
         message: M = decoder.decode(payload)
-    except (msgspec.ValidationError, msgspec.DecodeError, RecursionError) as error:
+    except (msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         reason = "version" if _other_version(payload) else "malformed"
         raise Rejected(reason, str(error)) from None
     if message.version != VERSION:

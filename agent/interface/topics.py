@@ -28,11 +28,12 @@ ODOMETRY = Topic("odometry", "air/{mav}/odometry", messages.Odometry, "agent", "
 DETECTIONS = Topic("detections", "air/{mav}/detections", messages.Detections, "agent", "every agent", True)
 COMMAND = Topic("command", "command/{mav}", messages.Setpoint, "agent", "world", True)
 ESTIMATE = Topic("estimate", "belief/{mav}/estimate", messages.Estimate, "agent", "deploy", True)
+REGISTRATION = Topic("registration", "belief/{mav}/registration", messages.Registration, "agent", "deploy", False)
 STATUS = Topic("status", "status/{mav}", messages.Status, "agent, world (0)", "deploy", False)
 TRUTH = Topic("truth", "truth/{mav}/pose", messages.Truth, "world", "deploy", False)
 LABELS = Topic("labels", "truth/{mav}/labels", messages.Labels, "world", "deploy", False)
 
-TOPICS = (VIO, SIGHTINGS, SURVEY, END, ODOMETRY, DETECTIONS, COMMAND, ESTIMATE, STATUS, TRUTH, LABELS)
+TOPICS = (VIO, SIGHTINGS, SURVEY, END, ODOMETRY, DETECTIONS, COMMAND, ESTIMATE, REGISTRATION, STATUS, TRUTH, LABELS)
 
 _BY_SHAPE = {tuple(topic.key.replace("{mav}", "*").split("/")): topic for topic in TOPICS}
 

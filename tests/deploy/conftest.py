@@ -3,8 +3,11 @@
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 
+from agent.interface import messages, topics
+from agent.interface.bus import Packet
 from deploy.experiment import Experiment, load
 from deploy.log import read_log
 from deploy.recording import Recording, assemble
@@ -31,6 +34,15 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Flown:
 @pytest.fixture(scope="session")
 def recording(flown: Flown) -> Recording:
     return recording_of(flown.experiment, flown.folder)
+
+
+def registration(mav: int, epoch: int, reasons: list[str], hypotheses: int, tick: int = 0) -> Packet:
+    """A hand-made message of this agent at 10 Hz; no hypothesis says anything of anybody."""
+    header = (messages.VERSION, epoch, mav, tick, tick * 10**8)
+    placed = bytes(hypotheses * len(reasons))
+    weights = np.full(hypotheses, 1 / max(hypotheses, 1)).tobytes()
+    message = messages.Registration(*header, tuple(reasons), weights, placed, bytes(16 * len(placed)))
+    return Packet(topics.key(topics.REGISTRATION, mav), messages.encode(message))
 
 
 def recording_of(experiment: Experiment, folder: Path) -> Recording:

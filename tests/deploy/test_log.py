@@ -12,6 +12,7 @@ import pytest
 from agent.interface import messages, topics
 from agent.interface.bus import Packet
 from deploy.log import BadLog, LogWriter, Origin, peek, read_log, schema_text
+from tests.deploy.conftest import registration
 
 ORIGIN = Origin(7, "memory", "[fleet]\nmavs = 2\n")
 
@@ -56,6 +57,20 @@ def test_a_schema_names_every_field_in_order() -> None:
     names = [item["title"] for item in schema["prefixItems"]]
     assert names[:5] == ["version", "epoch", "sender", "seq", "stamp_ns"]
     assert names[5:8] == ["states", "poses", "covariances"]
+
+
+def test_a_registration_is_recorded_with_its_schema(tmp_path: Path) -> None:
+    from mcap.reader import make_reader
+
+    packet = registration(1, 7, ["", "two places fit"], 2)
+    write(tmp_path / "log.mcap", [packet])
+    assert read_log(tmp_path / "log.mcap").packets == [packet]
+    with (tmp_path / "log.mcap").open("rb") as file:
+        ((schema, channel, _),) = make_reader(file).iter_messages()
+    assert (schema.name, channel.topic) == ("Registration", "belief/1/registration")
+    items = json.loads(schema.data)["prefixItems"]
+    assert [item["title"] for item in items[5:]] == ["reasons", "weights", "placed", "poses"]
+    assert items[5]["items"] == {"type": "string"}
 
 
 def flushed_log(folder: Path) -> tuple[Path, list[Packet]]:

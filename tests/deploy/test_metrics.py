@@ -7,8 +7,7 @@ import pytest
 
 from agent.interface.frames import compose, inverse, relative_pose, rotate_z
 from agent.interface.messages import LOCALISED, SEARCHING
-from deploy import metrics
-from deploy.recording import UNKNOWN
+from deploy import commits, metrics
 
 K, N = 40, 4
 TIME_S = np.arange(K) / 10.0
@@ -87,7 +86,7 @@ def test_yaw_errors_go_the_short_way_round(flight: Flight) -> None:
 def test_scored_from_two_seconds_after_localisation_on() -> None:
     states = np.full((K, 2, 2), SEARCHING, np.uint8)
     states[5:8, 0, 1] = LOCALISED  # and never again: what it says from then on still counts
-    since_s = metrics.localised_since(states, TIME_S)
+    since_s = commits.localised_since(states, TIME_S)
     assert since_s[0, 1] == 0.5
     assert np.isnan(since_s[1, 0])
     scored = metrics.settled(since_s, TIME_S)
@@ -182,31 +181,6 @@ def test_agents_that_share_a_wrong_frame_agree_and_one_that_errs_does_not(flight
     assert metrics.disagreement_m(off, states) == pytest.approx(0.4)
     states[:, 1, 3] = SEARCHING  # it does not claim to know
     assert metrics.disagreement_m(off, states) < 1e-9
-
-
-def test_wrong_commits_count_mavs_called_localised_beyond_the_limits(flight: Flight) -> None:
-    states = np.full((K, N, N), LOCALISED, np.uint8)
-    states[10:, 3] = UNKNOWN
-    off = flight.absolute.copy()
-    off[5, 0, 1, 2] += 0.51
-    off[6, 0, 1, 2] += 0.51  # the same MAV again
-    off[5, 0, 2, 3] += np.deg2rad(10.1)
-    off[5, 2, 1, 2] += 0.49
-    off[20, 3, 1, 2] += 9.0  # said nothing
-    error = metrics.errors(metrics.relative_from_absolute(off), metrics.relative_from_absolute(flight.absolute))
-    assert metrics.wrong_commits(error, states).tolist() == [2, 0, 0, 0]
-
-
-def test_when_and_whether_all_are_localised() -> None:
-    states = np.full((K, 3, 3), LOCALISED, np.uint8)
-    states[:4, 0, 1] = SEARCHING
-    states[:6, 0, 2] = SEARCHING
-    states[:, 2, 0] = 1
-    states[20:, 1] = UNKNOWN
-    at_s = metrics.all_localised_at(states, TIME_S)
-    assert at_s[:2].tolist() == [0.6, 0.0]
-    assert np.isnan(at_s[2])
-    assert [metrics.last_state(states, agent) for agent in range(3)] == [2, 2, 1]
 
 
 def test_share_of_innovations_inside_their_gate() -> None:

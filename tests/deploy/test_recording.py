@@ -10,7 +10,7 @@ from deploy.clairvoyant import replay
 from deploy.log import read_log
 from deploy.recorder import Ledger
 from deploy.recording import UNKNOWN, Beliefs, Recording, assemble
-from tests.deploy.conftest import TICKS, Flown
+from tests.deploy.conftest import TICKS, Flown, registration
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +53,29 @@ def test_what_is_lost_is_nan_and_what_is_nonsense_is_counted(flown: Flown, packe
     assert sum(recording.rejected.values()) == 3
 
 
+def test_the_last_registration_of_each_agent_is_kept(flown: Flown, packets: list[Packet]) -> None:
+    epoch = read_log(flown.folder / "log.mcap").origin.epoch
+    said = [
+        registration(2, epoch, ["why", "", "why"], 3, tick=5),
+        registration(2, epoch, ["because", "", ""], 2, tick=7),
+        registration(2, epoch, ["overtaken", "", ""], 1, tick=6),
+        registration(3, epoch, ["", "", ""], 0, tick=TICKS - 1),
+    ]
+    wrong = [
+        registration(1, epoch, ["", "only two"], 0),
+        registration(1, epoch, ["", "", "after the end"], 0, tick=TICKS + 2),
+        registration(1, epoch + 1, ["", "", "of another run"], 0),
+        registration(9, epoch, ["", "", ""], 0),
+    ]
+    others = [packet for packet in packets if not packet.key.endswith("/registration")]
+    recording = assembled(flown, others + said + wrong)
+    assert {mav: last.reasons for mav, last in recording.registrations.items()} == {
+        2: ("because", "", ""),
+        3: ("", "", ""),
+    }
+    assert recording.rejected == {"unexpected": 2, "epoch": 1, "mav": 1}
+
+
 def test_a_run_that_broke_off_is_as_long_as_its_truth(flown: Flown, packets: list[Packet]) -> None:
     recording = assembled(flown, packets[: len(packets) // 2])
     assert 1 < recording.ticks < TICKS
@@ -86,5 +109,6 @@ def test_the_ledger_knows_what_is_missing(packets: list[Packet], flown: Flown) -
         if packet is not dropped:
             sender = topics.parse(packet.key)[1]
             ledger.enter(packet, 0 if packet.key.startswith(("sensor/", "truth/")) else sender)
-    total = sum(packet.key.split("/")[0] in ("air", "command", "belief", "status") for packet in packets) // 3
+    spoken = ("air/2/", "command/2", "belief/2/", "status/2")
+    total = sum(packet.key.startswith(spoken) for packet in packets)
     assert ledger.missing(senders) == [f"mav_2: 1 of {total} messages"]

@@ -5,11 +5,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
+from agent.interface import messages
 from agent.interface.bus import Packet
-from deploy import composition, study, terminal
+from deploy import composition, results, study
 from deploy.__main__ import main
 from deploy.experiment import Experiment, load
 from deploy.log import LogWriter, Origin, peek, read_log
@@ -17,12 +19,12 @@ from deploy.recording import Recording, assemble
 from deploy.run import run
 from deploy.supervisor import Outcome
 from deploy.terminal import Quiet
-from tests.deploy.conftest import SMALL, TICKS, Flown
+from tests.deploy.conftest import SMALL, TICKS, Flown, registration
 
 SUMMARY = {
     "experiment", "seed", "mode", "transport", "agents", "ticks", "sim_s", "wall_s", "real_time_factor", "late_ticks",
     "relative", "absolute", "naive", "clairvoyant", "anees", "nis_inside", "disagreement_m", "estimator_ms", "network",
-    "mavs",
+    "registration", "mavs",
 }  # fmt: skip
 SCORE = {"rmse_m", "rmse_deg", "final_rmse_m", "final_rmse_deg", "max_m"}
 
@@ -45,7 +47,12 @@ def test_the_folder_and_the_summary_are_as_the_contract_says(flown: Flown) -> No
     }  # fmt: skip
     assert summary["estimator_ms"].keys() == {"station_p50", "station_p99", "tick_p50", "tick_p99"}
     assert [mav["id"] for mav in summary["mavs"]] == [1, 2, 3]
-    assert summary["mavs"][0].keys() == {"id", "state", "localised_at_s", "wrong_commits", "restarts"}
+    assert summary["registration"].keys() == {
+        "commit_nees", "position_1s_m", "yaw_1s_rad", "position_1s_p95_m", "yaw_1s_p95_rad",
+    }  # fmt: skip
+    assert summary["mavs"][0].keys() == {
+        "id", "state", "reason", "hypotheses", "localised_at_s", "wrong_commits", "restarts",
+    }  # fmt: skip
     assert (summary["mode"], summary["transport"], summary["ticks"], summary["seed"]) == (
         "lockstep",
         "memory",
@@ -76,6 +83,24 @@ def test_scoring_again_gives_the_same_from_the_log_alone(
     assert (tmp_path / "summary.json").read_text() == (flown.folder / "summary.json").read_text()
     for path in flown.folder.rglob("*.tum"):
         assert (tmp_path / path.relative_to(flown.folder)).read_bytes() == path.read_bytes()
+
+
+def test_scoring_a_log_that_knows_why(flown: Flown, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The last words of the first agent are that it can tell two MAVs from each other no more."""
+    log = read_log(flown.folder / "log.mcap")
+    last = max(
+        (packet for packet in log.packets if packet.key == "belief/1/estimate"), key=lambda p: peek(p.payload).seq
+    )
+    estimate = messages.decode(messages.Estimate, last.payload, log.origin.epoch)
+    doubtful = Packet(last.key, messages.encode(msgspec.structs.replace(estimate, states=bytes([2, 2, 1]))))
+    said = registration(1, log.origin.epoch, ["", "", "two places fit [a, b]"], 2, tick=TICKS - 1)
+    with LogWriter(tmp_path / "log.mcap", log.origin) as writer:
+        for packet in (*log.packets, doubtful, said):
+            writer.write(packet, peek(packet.payload))
+    assert main(["score", str(tmp_path)]) == 0
+    assert "\nMAV 1: ambiguous at the end (two places fit [a, b])\n" in capsys.readouterr().out
+    mav = json.loads((tmp_path / "summary.json").read_text())["mavs"][0]
+    assert (mav["state"], mav["reason"], mav["hypotheses"]) == ("ambiguous", "two places fit [a, b]", 2)
 
 
 def test_scoring_what_is_no_run_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -193,9 +218,9 @@ def test_a_run_in_one_process_that_breaks_off_says_why_and_is_scored(
 
 def test_a_run_in_real_time_says_how_many_ticks_were_late(flown: Flown, capsys: pytest.CaptureFixture[str]) -> None:
     assert flown.result.summary is not None
-    terminal.print_results(flown.result.summary, flown.folder)
+    results.print_results(flown.result.summary, flown.folder)
     assert "late ticks" not in capsys.readouterr().out
-    terminal.print_results(flown.result.summary | {"mode": "realtime", "late_ticks": 3}, flown.folder)
+    results.print_results(flown.result.summary | {"mode": "realtime", "late_ticks": 3}, flown.folder)
     assert "3 late ticks" in capsys.readouterr().out
 
 

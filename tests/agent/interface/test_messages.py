@@ -12,6 +12,9 @@ from agent.interface.topics import TOPICS
 HEADER = (m.VERSION, 7, 3, 12, 1_500_000_000)
 SPHERICAL = m.spherical_block(np.array([[2.0, 0.5, -0.1], [5.0, -3.0, 1.2]]))
 POSES = np.arange(8.0).tobytes()
+WEIGHTS = np.array([0.7, 0.3]).tobytes()
+PLACED = bytes([1, 1, 0, 1])  # the first hypothesis knows both MAVs, the second one of them
+PLACES = np.concatenate([np.arange(8), np.zeros(4), np.ones(4)]).astype("<f4").tobytes()
 EXAMPLES = [
     m.Vio(*HEADER, np.zeros(3).tobytes(), np.array([0.0, 0, 0, 1]).tobytes()),
     m.Sightings(*HEADER, SPHERICAL),
@@ -19,6 +22,7 @@ EXAMPLES = [
     m.Odometry(*HEADER, np.arange(4.0).tobytes()),
     m.Detections(*HEADER, SPHERICAL),
     m.Estimate(*HEADER, bytes([2, 0]), POSES, np.ones(20, "<f4").tobytes(), bytes(32), 5, 4),
+    m.Registration(*HEADER, ("", "zwei passen: hinten, oder 3° gedreht"), WEIGHTS, PLACED, PLACES),
     m.Setpoint(*HEADER, bytes(24), bytes(24), bytes(24), 0.5),
     m.Status(*HEADER, 1, 2, 3, 4, 5, 6, 7, (8, 9)),
     m.End(*HEADER),
@@ -101,6 +105,21 @@ WRONG_BODIES = [
     (m.Estimate, [bytes([0]), bytes(64), bytes(40), bytes(32), 0, 0]),
     (m.Estimate, [bytes([0]), bytes(32), np.full(10, np.nan, "<f4").tobytes(), bytes(32), 0, 0]),
     (m.Estimate, [bytes([0]), bytes(32), bytes(40), bytes(24), 0, 0]),
+    (m.Registration, ["no list", b"", b"", b""]),
+    (m.Registration, [["too few places"], WEIGHTS, bytes(1), bytes(16)]),
+    (m.Registration, [["too few poses"], WEIGHTS, bytes(2), bytes(16)]),
+    (m.Registration, [["halved"], bytes(7), b"", b""]),
+    (m.Registration, [["x" * (m.MAX_REASON + 1)], b"", b"", b""]),
+    (m.Registration, [["two\nlines"], b"", b"", b""]),
+    (m.Registration, [["not text: \x1b[2J"], b"", b"", b""]),
+    (m.Registration, [[""], pose(1.01), bytes(1), bytes(16)]),
+    (m.Registration, [[""], pose(-0.01), bytes(1), bytes(16)]),
+    (m.Registration, [[""], pose(np.nan), bytes(1), bytes(16)]),
+    (m.Registration, [[""], bytes(8 * 17), bytes(17), bytes(16 * 17)]),
+    (m.Registration, [[""], pose(1.0), bytes([2]), bytes(16)]),
+    (m.Registration, [[""], pose(1.0), bytes([1]), np.array([0, 0, np.nan, 0], "<f4").tobytes()]),
+    (m.Registration, [[""], pose(1.0), bytes([1]), np.array([0, 2e6, 0, 0], "<f4").tobytes()]),
+    (m.Registration, [[""], pose(1.0), bytes([0]), np.array([0, 0, 1, 0], "<f4").tobytes()]),
     (m.Setpoint, [bytes(24), bytes(24), bytes(24), float("inf")]),
     (m.Setpoint, [bytes(24), pose(np.nan, 0, 0), bytes(24), 0.0]),
     (m.Status, [1, 2, 3, 4, 5, 6, 7, [0] * 65]),
@@ -115,10 +134,24 @@ def test_a_wrong_body_is_malformed(kind, body):
     assert caught.value.reason == "malformed"
 
 
+def test_text_that_is_none_is_malformed():
+    payload = m.encode(m.Registration(*HEADER, ("why?",), b"", b"", b"")).replace(b"why?", b"wh\xff?")
+    with pytest.raises(m.Rejected) as caught:
+        m.decode(m.Registration, payload, epoch=7)
+    assert caught.value.reason == "malformed"
+
+
 def test_an_unreadable_message_of_another_version_says_so():
     with pytest.raises(m.Rejected) as caught:
         m.decode(m.Odometry, msgpack.packb([2, "a", "new", "layout"]), epoch=7)
     assert caught.value.reason == "version"
+
+
+def test_the_longest_registration_of_the_largest_fleet_is_not_oversized():
+    mavs, hypotheses = 50, m.MAX_HYPOTHESES
+    weights, poses = np.ones(hypotheses).tobytes(), np.ones((hypotheses, mavs, 4), "<f4").tobytes()
+    message = m.Registration(*HEADER, ("\N{GOAT}" * m.MAX_REASON,) * mavs, weights, b"\1" * hypotheses * mavs, poses)
+    assert m.decode(m.Registration, m.encode(message), epoch=7) == message
 
 
 def test_oversized_is_not_even_parsed():
@@ -143,7 +176,8 @@ def test_a_flipped_byte_is_rejected_or_still_valid(message, place, value):
         decoded = m.decode(type(message), bytes(payload), epoch=7)
     except m.Rejected:
         return
+    numbers = "<f4" if isinstance(message, m.Registration) else "<f8"
     for name in decoded.__struct_fields__:
         block = getattr(decoded, name)
         if isinstance(block, bytes) and len(block) % 8 == 0 and name in ("pose", "poses", "position"):
-            assert np.isfinite(np.frombuffer(block)).all()
+            assert np.isfinite(np.frombuffer(block, numbers)).all()
