@@ -11,13 +11,15 @@ import numpy as np
 
 from agent.config import AgentConfig
 from agent.controller.hold import Hold
-from agent.estimator.estimator import Beliefs, Estimator
+from agent.estimator.estimator import Beliefs
 from agent.estimator.joint_update import DetectionSet
 from agent.interface import clock, messages, topics
 from agent.interface.bus import Bus, Packet
 from agent.interface.fleet import Fleet
 from agent.interface.frames import Array
 from agent.interface.topics import Topic
+from agent.localiser import Localiser
+from agent.registration.reasons import Situation
 from agent.sensing import detections, vio
 from agent.sensing.inbox import Inbox
 from agent.sensing.neighbours import Neighbours
@@ -31,7 +33,7 @@ class Agent:
     def __init__(self, config: AgentConfig, fleet: Fleet, mav: int, epoch: int, bus: Bus) -> None:
         self._fleet, self._mav, self._epoch, self._bus = fleet, mav, epoch, bus
         self._patience_s = config.wait_for_peers_s if fleet.realtime else None
-        self._estimator = Estimator(config, fleet, mav)
+        self._localiser = Localiser(config, fleet, mav)
         self._controller = Hold()
         self._inbox = Inbox(mav, fleet.mavs, epoch)
         self._neighbours = Neighbours(fleet.mavs)
@@ -41,6 +43,7 @@ class Agent:
         self._open_ns: int | None = None  # the tick that waits for peers
         self._deadline_s = 0.0
         self._ended_ns: int | None = None
+        self._registering = True
         self.done = False
         self._seq: dict[Topic, int] = {}
         self._sent = self._sent_bytes = 0
@@ -81,14 +84,15 @@ class Agent:
                     self._neighbours.put(message.stamp_ns, received.mav, odometry=messages.floats(message.pose))
                 case messages.Detections():
                     spherical = messages.read_spherical(message.spherical)
-                    self._neighbours.put(message.stamp_ns, received.mav, detections=spherical)
+                    if not self._neighbours.put(message.stamp_ns, received.mav, detections=spherical):
+                        self._localiser.late(self._tick(message.stamp_ns), received.mav, spherical)
                 case messages.Vio():
                     self._vio[message.stamp_ns] = vio.read(message)
                 case messages.Sightings():
                     self._sightings[message.stamp_ns] = message
                 case messages.Survey():
                     frames = messages.floats(message.poses).reshape(-1, 4)
-                    self._estimator.start(frames, message.position_sigma_m, message.yaw_sigma_rad)
+                    self._localiser.start(frames, message.position_sigma_m, message.yaw_sigma_rad)
                 case messages.End():
                     self._ended_ns = message.stamp_ns
 
@@ -122,21 +126,34 @@ class Agent:
         self._open_ns = None
         tick = self._neighbours.take(stamp_ns)
         began_us = clock.now_us()
-        self._estimator.predict(tick.odometry)
         sets = [
             DetectionSet(station, tick.detections[station])
             for station in self._stations
             if station in tick.detections and station in tick.odometry
         ]
-        sets_began_us = clock.now_us()
-        self._estimator.associate_all(sets)
-        station_us = (clock.now_us() - sets_began_us) // max(len(sets), 1)
-        beliefs = self._estimator.finish()
+        beliefs, situation = self._localiser.tick(self._tick(stamp_ns), tick.odometry, sets)
         tick_us = clock.now_us() - began_us
+        self._publish_registration(stamp_ns, situation)
         self._publish_estimate(stamp_ns, beliefs)
-        self._publish_status(stamp_ns, tick_us, (station_us,))
+        self._publish_status(stamp_ns, tick_us, (self._localiser.station_us,))
         self._publish_command(stamp_ns, tick.odometry[self._mav])
         return True
+
+    def _tick(self, stamp_ns: int) -> int:
+        return round(stamp_ns * self._fleet.rate_hz / 1e9)
+
+    def _publish_registration(self, stamp_ns: int, situation: Situation | None) -> None:
+        """While somebody is not localised, and once more when everybody is."""
+        if situation is None and not self._registering:
+            return
+        self._registering = situation is not None
+        if situation is None:
+            fields: tuple[object, ...] = (("",) * self._fleet.mavs, b"", b"", b"")
+        else:
+            placed = situation.placed.astype(np.uint8).tobytes()
+            poses = situation.poses.astype("<f4").tobytes()
+            fields = (situation.reasons, situation.weights.tobytes(), placed, poses)
+        self._publish(topics.REGISTRATION, messages.Registration, stamp_ns, *fields)
 
     def _publish_estimate(self, stamp_ns: int, beliefs: Beliefs) -> None:
         covariances = beliefs.covariances.reshape(-1, 16).take(_UPPER, axis=1).astype("<f4")

@@ -27,10 +27,21 @@ class Filter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError("odometry_sigma_m, odometry_sigma_rad: expected between 0 and 1 (m, rad)")
 
 
+class Registration(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How the team is localised from an unknown start."""
+
+    work_per_mav: float = 7_000.0  # detection-target pairs looked at per tick and MAV of the team
+
+    def __post_init__(self) -> None:
+        if not 100 <= self.work_per_mav <= 1e9:
+            raise ValueError(f"work_per_mav = {self.work_per_mav}: expected 100 to 1e9 pairs")
+
+
 class AgentConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     detector: Detector = Detector()  # what the estimator believes of the detector
     odometry: Odometry = Odometry()  # what it believes of every MAV's VIO drift
     filter: Filter = Filter()
+    registration: Registration = Registration()
     localised_sigma_m: float = 0.15  # a MAV is called localised below this relative position uncertainty (any axis) ...
     localised_sigma_rad: float = 0.05  # ... and this relative yaw uncertainty
     wait_for_peers_s: float = 0.03  # real time only: how long a tick waits for the peers' packets

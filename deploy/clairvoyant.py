@@ -10,11 +10,16 @@ import numpy as np
 from agent.config import parse
 from agent.estimator.estimator import Estimator
 from agent.estimator.joint_update import DetectionSet
-from deploy.recording import Beliefs, Recording
+from agent.interface.frames import relative_pose
+from deploy.metrics import odometry_origins
+from deploy.recording import Beliefs, Recording, Survey
+
+TRUE_START_SIGMA = (0.2, 0.1)  # m per axis, rad
 
 
 def replay(recording: Recording, agent: dict[str, Any], told: bool = True) -> Beliefs:
-    """What every agent would have believed; agents that got no survey stay NaN.
+    """What every agent would have believed. Without a survey it begins from the truth, as roughly as a survey would be:
+    who is told which detection is whom need not find out who is where.
 
     Detection sets are taken in the agents' order: each tick the own one first, then by MAV number. A set whose labels
     were not recorded is left out.
@@ -30,7 +35,7 @@ def replay(recording: Recording, agent: dict[str, Any], told: bool = True) -> Be
     config = parse(agent)
     twin = Beliefs.none(recording.ticks, recording.fleet.mavs)
     for station in recording.fleet.ids:
-        survey = recording.surveys.get(station)
+        survey = recording.surveys.get(station) or _true_start(recording, station)
         if survey is None:
             continue
         estimator = Estimator(config, recording.fleet, station)
@@ -52,6 +57,13 @@ def replay(recording: Recording, agent: dict[str, Any], told: bool = True) -> Be
             twin.states[k, station - 1], twin.estimates[k, station - 1] = believed.states, believed.poses
             twin.starts[k, station - 1] = believed.start
     return twin
+
+
+def _true_start(recording: Recording, station: int) -> Survey | None:
+    """Where all odometry frames began, in the station's; None if the truth of some MAV was not recorded."""
+    origins = odometry_origins(recording.true_poses, recording.odometry)
+    frames = relative_pose(np.repeat(origins[station - 1 : station], len(origins), axis=0), origins)
+    return Survey(frames, *TRUE_START_SIGMA) if np.isfinite(frames).all() else None
 
 
 def _labelled(recording: Recording, k: int, mav: int) -> bool:

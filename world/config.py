@@ -26,7 +26,7 @@ class Survey(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class WorldConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     detector: Detector = Detector()
     odometry: Odometry = Odometry()  # of simulated flights; recorded ones bring their own
-    survey: Survey | Literal["none"] = Survey()  # "none": nobody is told anything before the start
+    survey: Survey | Literal["none"] = "none"  # nobody is told anything before the start, unless there is a survey
     start_yaw: Literal["random", "zero"] = "random"  # of simulated flights: uniform in the circle, or along the x axis
     path: tuple[Leg, ...] = ()  # a simulated flight ...
     flights: tuple[Flight, ...] = ()  # ... or recorded ones, one per MAV

@@ -23,11 +23,11 @@ class Neighbours:
         self.late = 0
         self.duplicate = 0
 
-    def put(self, stamp_ns: int, mav: int, *, odometry: Array | None = None, detections: Array | None = None) -> None:
-        """Keeps one reading or set; what belongs to a tick that is over is counted late, a repetition duplicate."""
+    def put(self, stamp_ns: int, mav: int, *, odometry: Array | None = None, detections: Array | None = None) -> bool:
+        """Keeps one reading or set, unless its tick is over; that is counted late, a repetition duplicate."""
         if stamp_ns <= self._done_ns:
             self.late += 1
-            return
+            return False
         tick = self._ticks.get(stamp_ns)
         if tick is None:
             tick = self._ticks[stamp_ns] = Tick()
@@ -40,6 +40,7 @@ class Neighbours:
                 self.duplicate += 1
             else:
                 kept[mav] = new
+        return True
 
     def complete(self, stamp_ns: int) -> bool:
         """Whether every MAV's odometry and detection set of this tick is here."""

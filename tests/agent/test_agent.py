@@ -9,19 +9,26 @@ from agent.interface import messages as m
 from agent.interface import topics
 from agent.interface.bus import MemoryBus
 from agent.interface.fleet import Fleet
+from agent.interface.frames import relative_pose
 from tests import team
 
 EPOCH = 7
 
 
-class Rig:
-    """Three agents that are fed the sensors of a circling team."""
+SCATTERED = np.array([[0.0, 0, 1.5], [3, 1, 1.2], [-1, 4, 2], [2, -3, 0.9]])  # looks different from every place
+IMPATIENT = AgentConfig(wait_for_peers_s=1e-9)
 
-    def __init__(self, seed=0, mavs=3, realtime=False, ticks=20, config=None):
+
+class Rig:
+    """Agents that are fed the sensors of a circling team, or of one that hovers at `places`."""
+
+    def __init__(self, seed=0, mavs=3, realtime=False, ticks=20, config=None, places=None):
         self.bus, self.fleet = MemoryBus(), Fleet(mavs=mavs, realtime=realtime)
         self.agents = [Agent(config or AgentConfig(), self.fleet, i, EPOCH, self.bus.another()) for i in self.fleet.ids]
         self.out = self.bus.another().subscribe("**")
-        self.ticks = list(team.circling(np.random.default_rng(seed), mavs, ticks))
+        rng = np.random.default_rng(seed)
+        flown = team.circling(rng, mavs, ticks) if places is None else team.fly(rng, mavs, ticks, lambda _: places)
+        self.ticks = list(flown)
         self.k = 0
 
     def survey(self):
@@ -37,8 +44,18 @@ class Rig:
             self.send(topics.VIO, i, m.Vio, z[:3].tobytes(), quaternion.tobytes())
             self.send(topics.SIGHTINGS, i, m.Sightings, m.spherical_block(tick.sets[i]))
 
-    def send(self, topic, mav, kind, *fields):
-        message = kind(m.VERSION, EPOCH, 0, self.k, self.fleet.stamp_ns(self.k), *fields)
+    def shared(self, of, sets_of_tick):
+        """What these MAVs would tell their peers: odometry of this tick, detection sets of that one."""
+        for i in of:
+            z = self.ticks[self.k].odometry[i]
+            self.send(topics.ODOMETRY, i, m.Odometry, z.tobytes(), sender=i)
+            if sets_of_tick >= 0:
+                block = m.spherical_block(self.ticks[sets_of_tick].sets[i])
+                self.send(topics.DETECTIONS, i, m.Detections, block, sender=i, tick=sets_of_tick)
+
+    def send(self, topic, mav, kind, *fields, sender=0, tick=None):
+        tick = self.k if tick is None else tick
+        message = kind(m.VERSION, EPOCH, sender, tick, self.fleet.stamp_ns(tick), *fields)
         self.bus.publish(topics.key(topic, mav), m.encode(message))
 
     def settle(self, agents=None):
@@ -46,8 +63,9 @@ class Rig:
             for agent in agents or self.agents:
                 agent.advance()
 
-    def fly(self):
-        self.survey()
+    def fly(self, survey=True):
+        if survey:
+            self.survey()
         for k in range(len(self.ticks)):
             self.k = k
             self.sensors()
@@ -56,13 +74,13 @@ class Rig:
             self.send(topics.END, i, m.End)
         self.settle()
 
-    def published(self, kind):
+    def published(self, *kinds):
         found = []
         for key, payload in self.out.drain():
             try:
                 topic, mav = topics.parse(key)
-                if topic.kind is kind:
-                    found.append((mav, m.decode(kind, payload, EPOCH)))
+                if topic.kind in kinds:
+                    found.append((mav, m.decode(topic.kind, payload, EPOCH)))
             except m.Rejected:  # what a test threw in
                 continue
         return found
@@ -75,6 +93,108 @@ def test_a_team_localises_itself_and_ends():
     estimates = rig.published(m.Estimate)
     assert len(estimates) == 3 * 20
     assert all(set(e.states) == {m.LOCALISED} for _, e in estimates[-3:])
+
+
+def of(mav, published):
+    return [message for sender, message in published if sender == mav]
+
+
+def error_m(rig, station, estimate):
+    """Of the last tick's positions of all MAVs, in the station's body frame."""
+    believed = m.floats(estimate.poses).reshape(-1, 4)
+    believed = relative_pose(np.tile(believed[station - 1], (len(believed), 1)), believed)
+    difference = believed - team.frames_in(rig.ticks[rig.k].truth, station)
+    return np.linalg.norm(difference[:, :3], axis=1)
+
+
+def test_a_team_that_is_told_nothing_localises_itself_and_says_how_it_stands():
+    rig = Rig(mavs=4, places=SCATTERED)
+    rig.fly(survey=False)
+    packets = rig.published(m.Estimate, m.Registration)
+    for mav in rig.fleet.ids:
+        mine = of(mav, packets)
+        estimates = [each for each in mine if isinstance(each, m.Estimate)]
+        said = [each for each in mine if isinstance(each, m.Registration)]
+        assert len(estimates) == 20
+        assert set(estimates[-1].states) == {m.LOCALISED}
+        assert error_m(rig, mav, estimates[-1]).max() < 0.3
+        # At every tick until everybody is localised, and then once more.
+        assert [each.stamp_ns for each in said] == [rig.fleet.stamp_ns(k) for k in range(len(said))]
+        assert [each.seq for each in said] == list(range(len(said)))
+        *before, last = said
+        assert before
+        assert (last.reasons, last.weights, last.placed, last.poses) == (("",) * 4, b"", b"", b"")
+        for registration, estimate in zip(said, estimates, strict=False):
+            assert registration.reasons[mav - 1] == ""
+            assert [not words for words in registration.reasons] == [s == m.LOCALISED for s in estimate.states]
+        assert all(any(each.reasons) for each in before)
+
+
+def test_a_team_that_looks_the_same_from_every_place_says_which_hypotheses_compete():
+    rig = Rig(mavs=4)
+    rig.fly(survey=False)
+    packets = rig.published(m.Estimate, m.Registration)
+    for mav in rig.fleet.ids:
+        registration, estimate = (each for each in of(mav, packets) if each.stamp_ns == rig.fleet.stamp_ns(19))
+        assert [state == m.LOCALISED for state in estimate.states] == [other == mav for other in rig.fleet.ids]
+        assert m.AMBIGUOUS in estimate.states
+        weights = m.floats(registration.weights)
+        assert len(weights) > 1
+        assert weights.sum() == pytest.approx(1)
+        placed = np.frombuffer(registration.placed, np.uint8).reshape(-1, 4)
+        assert placed[:, mav - 1].all()
+        assert placed[0].all()
+
+
+def test_a_team_that_is_told_says_once_that_all_is_well():
+    rig = Rig(ticks=5)
+    rig.fly()
+    said = sorted((mav, each.seq, each.reasons, each.weights) for mav, each in rig.published(m.Registration))
+    assert said == [(mav, 0, ("",) * 3, b"") for mav in rig.fleet.ids]
+
+
+def hear(late, peers=(2, 3, 4), ticks=20):
+    """What the first of four agents believes of peers whose detection sets are late by so many ticks; None: lost."""
+    rig = Rig(mavs=4, places=SCATTERED, realtime=True, config=IMPATIENT, ticks=ticks)
+    for k in range(ticks):
+        rig.k = k
+        rig.shared(of=peers, sets_of_tick=-1 if late is None else k - late)
+        rig.sensors(of=[1])
+        rig.settle(rig.agents[:1])
+    packets = rig.published(m.Estimate, m.Status)
+    return rig, packets[-2][1], packets[-1][1]
+
+
+def test_detection_sets_that_are_late_localise_the_team_all_the_same():
+    rig, estimate, status = hear(late=1)
+    assert status.late == 3 * 19
+    assert set(estimate.states) == {m.LOCALISED}
+    assert error_m(rig, 1, estimate).max() < 0.3
+    _, estimate, status = hear(late=None)
+    assert status.late == 0
+    assert list(estimate.states) == [m.LOCALISED, *[m.SEARCHING] * 3]
+
+
+def test_a_mav_that_is_never_heard_does_not_keep_the_others_from_being_localised():
+    _, estimate, _ = hear(late=0, peers=(2, 3), ticks=40)
+    assert list(estimate.states) == [*[m.LOCALISED] * 3, m.SEARCHING]
+
+
+@pytest.mark.parametrize("tick", [-10, 0, 3])
+def test_detection_sets_that_are_far_too_late_do_no_harm(tick):
+    """From before the first tick, and of ones that nobody waits for any more."""
+    estimates = []
+    for disturbed in (False, True):
+        rig = Rig(mavs=4, places=SCATTERED, ticks=12)
+        wrong = m.spherical_block(np.array([[3.0, 0.5, 0.1]] * 4))
+        for k in range(12):
+            rig.k = k
+            rig.sensors()
+            rig.settle()
+            if disturbed and k > 3:
+                rig.send(topics.DETECTIONS, 2, m.Detections, wrong, sender=2, tick=tick)
+        estimates.append([(mav, m.encode(each)) for mav, each in rig.published(m.Estimate)])
+    assert estimates[0] == estimates[1]
 
 
 def test_the_same_seed_gives_the_same_bits():
@@ -104,7 +224,7 @@ def test_in_lockstep_it_waits_for_its_peers_and_in_real_time_it_does_not():
     rig.sensors(of=[1])
     rig.settle()
     assert not rig.published(m.Estimate)
-    rig = Rig(realtime=True, config=AgentConfig(wait_for_peers_s=1e-9))
+    rig = Rig(realtime=True, config=IMPATIENT)
     rig.survey()
     rig.sensors(of=[1])
     rig.settle()

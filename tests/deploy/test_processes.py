@@ -25,6 +25,7 @@ pytestmark = pytest.mark.system
 def test_processes_give_the_same_estimates_as_one_process_to_the_last_bit(
     flown: Flown, recording: Recording, tmp_path: Path
 ) -> None:
+    """From an unknown start, until everybody has localised everybody and beyond."""
     outcome, summary = run(flown.experiment, tmp_path / "run", False, Quiet())
     assert outcome == Outcome()
     assert summary is not None
@@ -35,6 +36,9 @@ def test_processes_give_the_same_estimates_as_one_process_to_the_last_bit(
     for name in many.beliefs._fields:
         assert getattr(recording.beliefs, name).tobytes() == getattr(many.beliefs, name).tobytes(), name
     assert sum(status.sent for status in many.statuses.values()) == len(read_log(tmp_path / "run" / "log.mcap").packets)
+    assert [mav["state"] for mav in summary["mavs"]] == ["localised"] * 3
+    ticks_to_register = [{mav: last.seq for mav, last in each.registrations.items()} for each in (recording, many)]
+    assert ticks_to_register[0] == ticks_to_register[1] != {}
     logs = {path.name: path.read_text() for path in (tmp_path / "run" / "logs").iterdir()}
     assert logs == dict.fromkeys(["recorder.txt", "world.txt", "mav_1.txt", "mav_2.txt", "mav_3.txt"], "")
 

@@ -1,16 +1,20 @@
 """Do recorded messages end up in the right places, and what is missing as NaN?"""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from agent.interface import messages, topics
 from agent.interface.bus import Packet
 from agent.interface.frames import compose, relative_pose
+from deploy import composition
 from deploy.clairvoyant import replay
+from deploy.experiment import load
 from deploy.log import read_log
 from deploy.recorder import Ledger
 from deploy.recording import UNKNOWN, Beliefs, Recording, assemble
-from tests.deploy.conftest import TICKS, Flown, registration
+from tests.deploy.conftest import EXPERIMENT, SMALL, TICKS, Flown, registration
 
 
 @pytest.fixture(scope="module")
@@ -92,12 +96,33 @@ def test_absolute_is_as_seen_from_the_believed_start() -> None:
     np.testing.assert_allclose(relative_pose(absolute, true), 0, atol=1e-12)
 
 
-def test_the_clairvoyant_is_fed_as_the_agents_are(flown: Flown, recording: Recording) -> None:
-    """Told nothing, the replay must be the agents' own estimates to the last bit: same inputs, same order."""
-    twin, believed = replay(recording, flown.experiment.agent, told=False), recording.beliefs
+def test_the_clairvoyant_is_fed_as_the_agents_are() -> None:
+    """Told nothing, the replay of a surveyed start must be the agents' own estimates to the last bit: same inputs, same
+    order."""
+    experiment, packets = load(EXPERIMENT, [*SMALL, "world.survey.position_sigma_m=0.2"], seed=5), list[Packet]()
+    composition.fly(experiment, 1, packets.extend)
+    recording = assemble(packets, experiment.fleet, 1)
+    assert recording.surveys.keys() == {1, 2, 3}
+    twin, believed = replay(recording, experiment.agent, told=False), recording.beliefs
     for found, expected in zip(twin, believed, strict=True):
         assert found.tobytes() == expected.tobytes()
-    assert not np.array_equal(replay(recording, flown.experiment.agent).estimates, believed.estimates)
+    assert not np.array_equal(replay(recording, experiment.agent).estimates, believed.estimates)
+
+
+def test_without_a_survey_the_clairvoyant_begins_from_the_truth(flown: Flown, recording: Recording) -> None:
+    assert recording.surveys == {}
+    blind = replay(replace(recording, detections={}), flown.experiment.agent)
+    true_relative = relative_pose(recording.true_poses[0, :, None], recording.true_poses[0, None])
+    np.testing.assert_allclose(relative_pose(blind.estimates[0], true_relative), 0, atol=1e-6)
+    assert (blind.states[0] == messages.LOCALISED).sum() == 3  # itself only: of the others a survey's worth
+    assert (replay(recording, flown.experiment.agent).states[-1] == messages.LOCALISED).all()
+
+
+def test_without_a_survey_and_without_the_truth_there_is_no_clairvoyant(flown: Flown, packets: list[Packet]) -> None:
+    lost = topics.key(topics.TRUTH, 2)
+    twin = replay(assembled(flown, [packet for packet in packets if packet.key != lost]), flown.experiment.agent)
+    assert (twin.states == UNKNOWN).all()
+    assert np.isnan(twin.estimates).all()
 
 
 def test_the_ledger_knows_what_is_missing(packets: list[Packet], flown: Flown) -> None:

@@ -19,7 +19,7 @@ from deploy.recording import Recording, assemble
 from deploy.run import run
 from deploy.supervisor import Outcome
 from deploy.terminal import Quiet
-from tests.deploy.conftest import SMALL, TICKS, Flown, registration
+from tests.deploy.conftest import EXPERIMENT, SMALL, TICKS, Flown, registration
 
 SUMMARY = {
     "experiment", "seed", "mode", "transport", "agents", "ticks", "sim_s", "wall_s", "real_time_factor", "late_ticks",
@@ -148,9 +148,9 @@ def timeless(summary: dict[str, Any]) -> dict[str, Any]:
 
 
 def test_a_study_gives_the_same_numbers_with_one_and_with_two_processes(tmp_path: Path) -> None:
-    changes, grid = [*SMALL, "fleet.mavs=2", "fleet.duration_s=2.2"], "agent.filter.gating=true,false"
-    one = study.run_all(study.jobs("line", changes, range(5, 7), [grid]), 1, lambda _: None).summaries
-    words = ["study", "line", *(word for change in changes for word in ("--set", change)), "--seeds", "5:7"]
+    grid = "agent.filter.gating=true,false"
+    one = study.run_all(study.jobs(EXPERIMENT, list(SMALL), range(5, 7), [grid]), 1, lambda _: None).summaries
+    words = ["study", EXPERIMENT, *(word for change in SMALL for word in ("--set", change)), "--seeds", "5:7"]
     assert main([*words, "--grid", grid, "--jobs", "2", "--out", str(tmp_path)]) == 0
     two = json.loads((tmp_path / "study.json").read_text())
     assert [timeless(run) for run in one] == [timeless(run) for run in two["runs"]]
@@ -162,7 +162,7 @@ def test_a_study_gives_the_same_numbers_with_one_and_with_two_processes(tmp_path
 
 
 def test_a_study_run_is_the_run(flown: Flown) -> None:
-    (job,) = study.jobs("line", list(SMALL), range(5, 6), [])
+    (job,) = study.jobs(EXPERIMENT, list(SMALL), range(5, 6), [])
     assert flown.result.summary is not None
     assert timeless(study.run_one(job)) == timeless(flown.result.summary) | {"grid": {}}
 

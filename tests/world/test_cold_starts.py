@@ -1,4 +1,4 @@
-"""Are the bundled cold starts what they say: nobody is told anything, and the places are as described?"""
+"""Do the bundled experiments start as they say: nobody is told anything, and the places are as described?"""
 
 import tomllib
 from pathlib import Path
@@ -14,6 +14,7 @@ from world.scenario import Scenario
 
 FOLDER = Path(__file__).parents[2] / "deploy" / "experiments"
 SIMULATED = ("cold_start", "cold_start_line", "cold_start_circle", "cold_start_symmetric")
+TAKING_OFF = ("paper_run_1", "paper_run_1_far", "line")
 
 
 def read(name: str) -> dict[str, Any]:
@@ -30,7 +31,7 @@ def at(flown: Scenario, time_s: float) -> np.ndarray:
     return flown.setpoints(time_s, np.zeros(7)).position
 
 
-@pytest.mark.parametrize("name", SIMULATED)
+@pytest.mark.parametrize("name", SIMULATED + TAKING_OFF)
 def test_they_can_be_flown_with_any_seed_and_last_as_long_as_they_say(name: str) -> None:
     tables = read(name)
     for seed in range(50):
@@ -55,7 +56,15 @@ def test_a_circle_that_takes_off_to_different_heights() -> None:
     flown = scenario("cold_start_circle")
     np.testing.assert_allclose(flown.start[:, 2], 0.5)
     np.testing.assert_allclose(at(flown, 1.0), flown.start)
+    np.testing.assert_allclose(at(flown, 2.5) - flown.start, [[0, 0, 0.24 * k] for k in range(7)], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", TAKING_OFF)
+def test_a_take_off_to_different_heights_and_back_to_one(name: str) -> None:
+    flown = scenario(name)
+    np.testing.assert_allclose(at(flown, 1.0) - flown.start, 0)
     np.testing.assert_allclose(at(flown, 3.0) - flown.start, [[0, 0, 1 + 0.15 * k] for k in range(7)], atol=1e-12)
+    np.testing.assert_allclose(at(flown, 6.0) - flown.start, [[0, 0, 1]] * 7, atol=1e-12)
 
 
 def test_a_circle_that_looks_the_same_to_all_at_all_times() -> None:
@@ -71,6 +80,7 @@ def test_a_circle_that_looks_the_same_to_all_at_all_times() -> None:
 def test_recorded_flights_are_those_of_the_other_experiment() -> None:
     cold, warm = read("cold_start_recorded"), read("recorded_flights")
     assert cold["agent"] == warm["agent"]
-    assert cold["world"] == {"survey": "none", "random_window": True} | warm["world"]
-    assert parse_table(WorldConfig, cold["world"], "world").random_window
+    assert cold["world"] == {"random_window": True} | warm["world"]
+    config = parse_table(WorldConfig, cold["world"], "world")
+    assert (config.random_window, config.survey) == (True, "none")
     assert cold["fleet"] == warm["fleet"] | {"duration_s": 20.0}

@@ -16,7 +16,8 @@ PATH: dict[str, Any] = {"path": [CIRCLE]}
 
 def test_defaults_are_the_papers() -> None:
     config = parse(PATH, Fleet())
-    assert config.survey == Survey(position_sigma_m=0.2, yaw_sigma_rad=0.1)
+    assert config.survey == "none"
+    assert parse(PATH | {"survey": {}}, Fleet()).survey == Survey(position_sigma_m=0.2, yaw_sigma_rad=0.1)
     assert config.odometry.position_sigma_m == 0.01
     assert config.detector.bearing_sigma_rad == 0.008
     assert config.start_yaw == "random"

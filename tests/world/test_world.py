@@ -20,6 +20,7 @@ TABLE = {
         {"formation": "circle", "radius_m": 2.0, "move_s": 2.0},
     ]
 }
+SURVEYED: dict[str, object] = {"survey": {}}
 EPOCH = 3
 
 
@@ -66,7 +67,7 @@ def by_topic(packets: list[Packet]) -> dict[tuple[str, int], list]:
 
 
 def test_every_tick_every_mav_gets_its_readings() -> None:
-    heard = by_topic(fly())
+    heard = by_topic(fly(**SURVEYED))
     for mav in FLEET.ids:
         for name in ("vio", "sightings", "truth", "labels"):
             sent = heard[name, mav]
@@ -83,7 +84,7 @@ def test_every_tick_every_mav_gets_its_readings() -> None:
 
 
 def test_nothing_of_the_truth_is_on_what_agents_may_read() -> None:
-    heard = {key.split("/")[0] for key, _ in fly()}
+    heard = {key.split("/")[0] for key, _ in fly(**SURVEYED)}
     assert heard == {"truth", "sensor", "status"}
 
 
@@ -113,7 +114,7 @@ def test_readings_are_of_the_true_poses() -> None:
 
 
 def test_the_survey_is_rough_and_exact_about_oneself() -> None:
-    heard = by_topic(fly())
+    heard = by_topic(fly(**SURVEYED))
     start = np.array(
         [
             [*messages.floats(first.position), yaw_of(messages.floats(first.quaternion))]
@@ -133,13 +134,16 @@ def test_the_survey_is_rough_and_exact_about_oneself() -> None:
 
 
 def test_without_a_survey_nobody_is_told_anything() -> None:
-    assert not [key for key, _ in fly(survey="none") if key.endswith("survey")]
+    unsurveyed = fly()
+    assert not [key for key, _ in unsurveyed if key.endswith("survey")]
+    told = [packet for packet in fly(**SURVEYED) if not packet.key.startswith("status") and "survey" not in packet.key]
+    assert [packet for packet in unsurveyed if not packet.key.startswith("status")] == told
 
 
 def test_the_same_seed_publishes_the_same_bytes_and_another_does_not() -> None:
-    first, again = ([each for each in fly() if each.key != "status/0"] for _ in range(2))
+    first, again = ([each for each in fly(**SURVEYED) if each.key != "status/0"] for _ in range(2))
     assert first == again
-    other = fly(Fleet(mavs=4, duration_s=2.0, seed=8))
+    other = fly(Fleet(mavs=4, duration_s=2.0, seed=8), **SURVEYED)
     for name in ("vio", "sightings", "survey", "pose", "labels"):
         pairs = [(a, b) for a, b in zip(first, other, strict=False) if a.key.endswith(name)]
         assert pairs
@@ -155,7 +159,7 @@ def test_any_rate_ends_where_the_path_does(rate_hz: float) -> None:
 
 
 def test_the_final_status_counts_every_message() -> None:
-    packets = fly()
+    packets = fly(**SURVEYED)
     assert packets[-1].key == "status/0"
     status = messages.decode(messages.Status, packets[-1].payload, EPOCH)
     assert status.final
@@ -167,7 +171,7 @@ def test_the_final_status_counts_every_message() -> None:
 
 
 def test_messages_are_encoded_as_their_kinds_are() -> None:
-    for key, payload in fly():
+    for key, payload in fly(**SURVEYED):
         assert messages.encode(messages.decode(topics.parse(key)[0].kind, payload, EPOCH)) == payload
 
 

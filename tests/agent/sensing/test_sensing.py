@@ -86,8 +86,9 @@ def test_late_and_repeated_data_is_counted_and_ignored():
     neighbours.put(5, 1, odometry=np.zeros(4))
     neighbours.put(5, 1, odometry=np.ones(4))
     assert neighbours.take(5).odometry[1].sum() == 0
-    neighbours.put(5, 2, odometry=np.zeros(4))
-    neighbours.put(4, 2, detections=np.zeros((0, 3)))
+    assert not neighbours.put(5, 2, odometry=np.zeros(4))
+    assert not neighbours.put(4, 2, detections=np.zeros((0, 3)))
+    assert neighbours.put(6, 2, detections=np.zeros((0, 3)))
     assert (neighbours.duplicate, neighbours.late) == (1, 2)
 
 

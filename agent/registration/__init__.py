@@ -1,0 +1,1 @@
+"""From nothing: who is where, when no initial pose and no identity is known."""

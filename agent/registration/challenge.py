@@ -1,0 +1,101 @@
+"""Might others stand in the leading hypothesis' places? Which exchanges of identity have to be tested before a commit.
+
+The rivals come from `places.py`, best first. Those near the best must all be tested by replay; a MAV of which more are
+near than can be tested is *saturated*: the truth may be among the untested, so it is not committed, whatever its
+margin.
+"""
+
+from collections.abc import Generator
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from agent.config import AgentConfig
+from agent.interface.frames import Array, relative_pose
+from agent.registration import places
+from agent.registration.candidates import Placement
+from agent.registration.hypotheses import Hypotheses, elsewhere
+from agent.registration.window import Frame
+
+WITHIN, NEAR = 120.0, 40.0  # nats of the place view: rivals that are looked at, that must all be tested
+MOST, FEW = 16, 4  # rivals tested; where they do not decide anything
+EACH = 2  # of them for every MAV at least
+Mask = npt.NDArray[np.bool_]
+
+
+class Challenge(NamedTuple):
+    rivals: list[Placement]  # to be replayed
+    saturated: Mask  # (N,)
+
+
+def challenge(
+    config: AgentConfig, hypotheses: Hypotheses, leader: int, frames: list[Frame], team: Mask
+) -> Generator[float, None, Challenge]:
+    """Of the leader at the newest of these frames; MAVs of the team (N,) are beyond doubt. Yields what it has cost."""
+    mavs = np.flatnonzero(hypotheses.bank.placed[leader])
+    N = hypotheses.bank.placed.shape[1]
+    track = hypotheses.track[leader, -len(frames) :][:, mavs]
+    known = np.isfinite(track[:, 0, 0])
+    covariance = np.zeros((N, 4, N, 4))
+    covariance[1:, :, 1:] = hypotheses.bank.P[leader].reshape(N, 4, N, 4)[:-1, :, :-1]
+    among = covariance[mavs][:, :3][:, :, mavs][..., :3]
+    past = [f for f, k in zip(frames, known, strict=True) if k]
+    others = np.flatnonzero(~hypotheses.bank.placed[leader])
+    view = yield from places.place_view(config, past, np.concatenate([mavs, others]), track[known], among)
+    now, n = track[-1], len(mavs)
+    found = places.rivals(places.PlaceView(view.V[:n], view.yaw[:n]), now, WITHIN)
+    yield 0.6 * places.BEAM * len(mavs) ** 2
+    relative = _relative(found.poses)
+    differs = _differs(_relative(now[None])[0], relative) & ~team[mavs]  # (R, n)
+    tested = np.asarray(~differs.any(axis=1))
+    for other in _relative(hypotheses.bank.y[hypotheses.bank.placed[:, mavs].all(axis=1)][:, mavs]):
+        tested |= ~_differs(other, relative).any(axis=1)  # who is in the bank competes already
+    chosen, tested = _chosen(found.behind, relative, differs, tested)
+    near = (found.behind <= NEAR) & ~tested
+    saturated = np.zeros(N, bool)
+    saturated[mavs] = differs[near].any(0) | (found.known_to < NEAR)
+    if len(others):  # one that has no place yet might be who stands there
+        saturated[mavs] |= (view.V[n:] > np.diag(view.V[:n]) - NEAR).any(axis=0) & ~team[mavs]
+    yield 5.0 * len(found.poses) * (1 + len(chosen))
+    if saturated[mavs][~team[mavs]].all():  # nobody can be committed: the best only, they may be better than the leader
+        chosen = chosen[:FEW]
+    return Challenge([_placement(N, mavs, found.poses[r]) for r in chosen], saturated)
+
+
+def _chosen(behind: Array, relative: Array, differs: Mask, tested: Mask) -> tuple[list[int], Mask]:
+    """Which rivals to test, and (R,) which are tested then: those alike, too.
+
+    Args:
+        behind: (R,) nats that they are behind the best, ascending.
+        relative: (R, n, 4) their poses in the station's body frame.
+        differs: (R, n) whom they place elsewhere than the leader.
+        tested: (R,) which need not be.
+    """
+    chosen: list[int] = []
+    tested, count = tested.copy(), differs[tested].sum(axis=0)
+    for r in np.flatnonzero(~tested):
+        if len(chosen) == MOST:
+            break
+        if not tested[r] and (behind[r] <= NEAR or (count[differs[r]] < EACH).any()):
+            chosen.append(int(r))
+            count += differs[r]
+            tested |= ~_differs(relative[r], relative).any(axis=1)
+    return chosen, tested
+
+
+def _relative(poses: Array) -> Array:
+    """(R, n, 4) poses in the body frame of the first MAV, the station."""
+    return relative_pose(np.repeat(poses[:, :1], poses.shape[1], axis=1), poses)
+
+
+def _differs(leader: Array, relative: Array) -> Mask:
+    """(R, n) whether these (R, n, 4) place a MAV elsewhere than the leader (n, 4)."""
+    every = np.ones(len(leader), bool)
+    return elsewhere(leader[None], every, relative, every)
+
+
+def _placement(mavs: int, placed: npt.NDArray[np.intp], poses: Array) -> Placement:
+    made = Placement(np.zeros((mavs, 4)), np.zeros((mavs, 4, 4)), np.zeros(mavs, bool))
+    made.poses[placed], made.placed[placed] = poses, True
+    return made

@@ -1,0 +1,113 @@
+"""Why is a MAV not localised? The state of each, in one of three words and in a sentence."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from agent.interface.frames import Array
+from agent.interface.messages import AMBIGUOUS, LOCALISED, SEARCHING
+from agent.registration.hypotheses import PER_SIGMA, SAME_M, Hypotheses
+from agent.registration.verdict import LEAST_TICKS, Verdict
+
+Mask = npt.NDArray[np.bool_]
+
+
+class Situation(NamedTuple):
+    """What there is to say while somebody is not localised; MAVs by index."""
+
+    states: npt.NDArray[np.uint8]  # (N,)
+    reasons: tuple[str, ...]  # (N,) "" for who is localised
+    weights: Array  # (K,) of the joint hypotheses, best first, sum 1
+    placed: Mask  # (K, N)
+    poses: Array  # (K, N, 4) in the station's odometry frame
+
+
+def situation(
+    hypotheses: Hypotheses | None,
+    verdict: Verdict | None,
+    saturated: Mask | None,
+    team: Mask,
+    silent: Array,
+    ticks: int,
+    ids: list[int],
+) -> Situation:
+    """Of the registration as it stands.
+
+    Args:
+        hypotheses: what is carried, if anything.
+        verdict: on them.
+        saturated: (N,) of whom more rivals are near than could be tested, if the leader was challenged lately.
+        team: (N,) who is localised.
+        silent: (N,) ticks for which nothing has been heard of each.
+        ticks: that are kept.
+        ids: (N,) MAV numbers.
+    """
+    mavs = len(team)
+    states, reasons = np.full(mavs, SEARCHING, np.uint8), [""] * mavs
+    for j in range(mavs):
+        if team[j]:
+            states[j] = LOCALISED
+        elif silent[j] > LEAST_TICKS:
+            reasons[j] = f"nothing heard of it for {int(silent[j])} ticks"
+        elif ticks < LEAST_TICKS:
+            reasons[j] = f"{ticks} of {LEAST_TICKS} ticks heard that the search begins with"
+        elif hypotheses is None or verdict is None:
+            reasons[j] = "looking for a place that its sightings and those of it agree on"
+        else:
+            states[j], reasons[j] = _of(j, hypotheses, verdict, saturated, ids)
+    if hypotheses is None:
+        return Situation(states, tuple(reasons), np.zeros(0), np.zeros((0, mavs), bool), np.zeros((0, mavs, 4)))
+    weights = _weights(hypotheses, verdict)
+    order = np.argsort(-weights, kind="stable")[:16]
+    placed = hypotheses.bank.placed[order]
+    poses = np.where(placed[..., None], hypotheses.bank.y[order, :-1], 0.0)
+    return Situation(states, tuple(reasons), weights[order] / weights[order].sum(), placed, poses)
+
+
+def _of(j: int, hypotheses: Hypotheses, verdict: Verdict, saturated: Mask | None, ids: list[int]) -> tuple[int, str]:
+    leader, ticks = verdict.leader, verdict.ticks
+    if not hypotheses.bank.placed[leader, j]:
+        return SEARCHING, "no place found that its sightings and those of it agree on"
+    if verdict.rivalled[j] and ticks >= LEAST_TICKS:
+        rival = int(verdict.rival[j])
+        if not hypotheses.bank.placed[rival, j]:
+            return AMBIGUOUS, f"one place fits, or none, after {ticks} ticks"
+        words = f"two placements fit equally well after {int(verdict.common[rival])} ticks"
+        other = _exchanged(j, rival, hypotheses, leader)
+        if other is None:
+            return AMBIGUOUS, f"{words}; a motion of its own would tell them apart"
+        return AMBIGUOUS, f"{words}, it and MAV {ids[other]} may be exchanged; a change of height by either would tell"
+    if not verdict.fitting[j]:
+        seen, sees = (f"{100 * share:.0f} %" for share in verdict.shares[:, j])
+        return SEARCHING, f"a place is being tried: it is seen there {seen}, and sees the others {sees} of the time"
+    if saturated is not None and saturated[j]:
+        return (
+            AMBIGUOUS,
+            "more exchanges of identity fit equally well than can be tested; a motion of its own would tell",
+        )
+    return SEARCHING, f"one placement leads after {ticks} ticks, it is being tested against exchanges of identity"
+
+
+def _exchanged(j: int, rival: int, hypotheses: Hypotheses, leader: int) -> int | None:
+    """On whose place (in the leading hypothesis) the rival puts j."""
+    relative, placed = hypotheses.relative(), hypotheses.bank.placed[leader]
+    apart = np.linalg.norm(relative[leader, :, :3] - relative[rival, j, :3], axis=-1)
+    apart[~placed] = np.inf
+    apart[j] = np.inf
+    nearest = int(apart.argmin())
+    return nearest if apart[nearest] < SAME_M else None
+
+
+def _weights(hypotheses: Hypotheses, verdict: Verdict | None) -> Array:
+    """Tempered by the random walk of the scores: raw ones look certain where nothing can be decided."""
+    score = hypotheses.recent()
+    spread = 0.0
+    if verdict is not None:
+        lead = hypotheses.lead(verdict.leader)
+        spread = float((lead.spread * np.sqrt(lead.ticks)).max())
+    weights: Array = (
+        np.exp((score - score.max()) / (1 + PER_SIGMA * spread / 6)) if math.isfinite(spread) else score * 0
+    )
+    return np.maximum(weights, 1e-9)

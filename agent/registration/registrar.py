@@ -1,0 +1,264 @@
+"""How does a station get from nothing to a localised team? Proposals, a bank of hypotheses, challenge, commit.
+
+Every tick the bank takes in what was heard. The rest (proposing joint placements, testing identity rivals) is a *job*,
+sliced over ticks: it yields what each slice has cost, counted in detection-target pairs looked at, and goes on until
+the tick's budget is spent. Counted work, not time: the same seed gives the same bits.
+"""
+
+from collections.abc import Generator
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from agent.config import AgentConfig
+from agent.interface.frames import Array
+from agent.registration import places, replay
+from agent.registration.bank import Filter, Team
+from agent.registration.candidates import Placement, seen_from_station
+from agent.registration.challenge import challenge
+from agent.registration.hypotheses import WINDOW, Hypotheses
+from agent.registration.proposals import propose
+from agent.registration.reasons import Situation, situation
+from agent.registration.verdict import LEAST_TICKS, Verdict, judge
+from agent.registration.window import Frame, Window
+
+PROPOSAL_FRAMES = 8
+TOGETHER = 8  # hypotheses that are replayed at once
+HASTY_ROUND_TICKS = 3  # between rounds of proposals while some MAV has no place that fits
+ROUND_TICKS, CHALLENGE_TICKS = 20, 4  # between rounds, and challenges of one leader, that change nothing: at first
+MOST_PATIENT = 4  # times as long, after some that were fruitless
+CHALLENGE_HOLDS_TICKS = 5
+PATIENCE_TICKS = 3  # how long a tick waits for late data
+SILENT_TICKS = 10  # after which a MAV is not waited for
+
+Job = Generator[float, None, None]
+Mask = npt.NDArray[np.bool_]
+
+
+class Commit(NamedTuple):
+    """MAVs that may be called localised, given whom the station has localised before."""
+
+    mavs: npt.NDArray[np.intp]  # (C,) index
+    y: Array  # (B, 4) mean of all at the newest tick
+    P: Array  # (4N, 4N) of all but the station
+
+
+class Challenged(NamedTuple):
+    name: int  # of the hypothesis
+    tick: int
+    saturated: Mask  # (N,) of whom more rivals are near than could be tested
+
+
+class Registrar:
+    """Of the station, which is index 0 of the MAVs here."""
+
+    def __init__(self, config: AgentConfig, mavs: int, rate_hz: float) -> None:
+        self._config, self._mavs = config, mavs
+        self.filter = Filter(config, mavs, rate_hz)
+        self._budget = config.registration.work_per_mav * mavs
+        self._capacity = max(8, mavs + 1)
+        self._team = Team(np.zeros((mavs + 1, 4)), np.zeros((4 * mavs, 4 * mavs)), np.arange(mavs) == 0)
+        self.forget()
+
+    def forget(self) -> None:
+        """Begins anew: all that was heard, and all hypotheses."""
+        self._window = Window(self._mavs, WINDOW)
+        self._done = -1  # tick of the last frame that the bank has taken in
+        self._arrived: dict[int, int] = {}  # by station: the tick in which its last set came in
+        self._restart()
+
+    def _restart(self) -> None:
+        self._hypotheses: Hypotheses | None = None
+        self._verdict: Verdict | None = None
+        self._challenged: Challenged | None = None
+        self._job: Job | None = None
+        self._round_at: int | None = None
+        self._names = self._rounds = 0
+        self._fruitless = 0  # challenges since the leader last changed
+
+    def tick(self, tick: int, odometry: dict[int, Array], sets: dict[int, Array]) -> Frame:
+        """Begins a tick with what was heard of it, by index; the station's own odometry is among it."""
+        if self._window.frames and tick != self._window.frames[-1].tick + 1:
+            self.forget()
+        if not self._window.frames:  # everybody is waited for at first
+            self._arrived = dict.fromkeys(range(self._mavs), tick)
+        frame = self._window.add(tick, odometry)
+        for station, spherical in sets.items():
+            self._arrived[station] = tick
+            frame.put(station, spherical)
+        return frame
+
+    def late(self, tick: int, station: int, spherical: Array) -> None:
+        """A detection set of an earlier tick; one that was waited for in vain is of no use."""
+        frame = self._window.at(tick)
+        if frame is not None:
+            self._arrived[station] = self._window.frames[-1].tick
+            if tick > self._done:
+                frame.put(station, spherical)
+
+    def situation(self, ids: list[int], team: Mask) -> Situation:
+        """How it stands, in words, with those not in the team (N,); for the MAV numbers by index."""
+        silent = np.zeros(self._mavs)
+        for frame in self._window.frames:
+            silent = np.where(frame.heard, 0, silent + 1)
+        known = self._holds(CHALLENGE_TICKS) and self._challenged is not None
+        saturated = self._challenged.saturated if known and self._challenged is not None else None
+        ticks = len(self._window.frames)
+        return situation(self._hypotheses, self._verdict, saturated, team, silent, ticks, ids)
+
+    def work_on(self, team: Team) -> Commit | None:
+        """Does this tick's share of the work for those not in the team; returns whom to call localised now."""
+        self._team = team
+        for frame in self._ripe():
+            self._advance(frame)
+        if team.placed.all():
+            self._restart()
+            return None
+        self._drop_those_against(team)
+        spent = 0.0
+        while spent < self._budget:
+            self._job = self._job or self._next_job()
+            if self._job is None:
+                break
+            try:
+                spent += next(self._job)
+            except StopIteration:
+                self._job = None
+        return self._commit()
+
+    def _ripe(self) -> list[Frame]:
+        """The frames that are complete, or old enough, and that the bank has not taken in yet."""
+        frames, ripe = self._window.frames, []
+        now = frames[-1].tick
+        silent = np.array([now - self._arrived[station] >= SILENT_TICKS for station in range(self._mavs)])
+        for frame in frames:
+            if frame.tick > self._done:
+                if not (frame.heard | silent).all() and now - frame.tick < PATIENCE_TICKS:
+                    break
+                ripe.append(frame)
+                self._done = frame.tick
+        return ripe
+
+    def _advance(self, frame: Frame) -> None:
+        before = self._window.at(frame.tick - 1)
+        if self._hypotheses is not None and before is not None:
+            self._hypotheses.note(self.filter.step(self._hypotheses.bank, before, frame))
+            self._keep(self._hypotheses.merged())
+
+    def _drop_those_against(self, team: Team) -> None:
+        """Drops hypotheses that place a MAV of the team elsewhere than it is."""
+        frame = self._window.at(self._done)
+        if self._hypotheses is None or frame is None or team.placed.sum() == 1:
+            return
+        then = replay.team_at(team, self._window.frames[-1], frame)
+        against = self._hypotheses.against(then.y[:-1], team.placed)
+        if against.all():
+            self._restart()
+        elif against.any():
+            self._keep(self._hypotheses.of([int(k) for k in np.flatnonzero(~against)]))
+
+    def _past(self, most: int) -> list[Frame]:
+        """The last frames that the bank has taken in."""
+        return [f for f in self._window.frames if f.tick <= self._done][-most:]
+
+    def _next_job(self) -> Job | None:
+        if len(self._past(LEAST_TICKS)) < LEAST_TICKS:
+            return None
+        verdict, missing = self._verdict, ~self._team.placed
+        patience = min(2**self._fruitless, MOST_PATIENT)
+        if verdict is not None:
+            due = (verdict.clear & missing).any() and not self._holds(CHALLENGE_HOLDS_TICKS)
+            rivalled = (verdict.rivalled & verdict.fitting & missing).any()
+            if due or (rivalled and not self._holds(CHALLENGE_TICKS * patience)):
+                return self._test(verdict)
+        unplaced = verdict is None or (verdict.ticks >= LEAST_TICKS and (~verdict.fitting & ~self._settled()).any())
+        pause = HASTY_ROUND_TICKS if unplaced else ROUND_TICKS * patience
+        if self._round_at is None or self._done - self._round_at >= pause:
+            self._round_at, self._rounds = self._done, self._rounds + 1
+            return self._round(verdict if unplaced and self._rounds % 2 == 0 else None)
+        return None
+
+    def _round(self, verdict: Verdict | None) -> Job:
+        """Proposes joint placements: from the team, or from all whom the leading hypothesis has right."""
+        past = self._past(PROPOSAL_FRAMES)
+        base = self._base(verdict, past[-1])
+        missing = [int(j) for j in np.flatnonzero(~base.placed)]
+        found = yield from propose(self._config, past, base, missing, self._capacity)
+        found = [each for each in found if each.placed.sum() > base.placed.sum() and each.placed[0]]
+        yield from self._add([seen_from_station(each, past[-1]) for each in found], past[-1])
+
+    def _settled(self) -> Mask:
+        """(N,) who is not in question: the team, but not the station as long as it is alone."""
+        return np.asarray(self._team.placed & (self._team.placed.sum() > 1))
+
+    def _base(self, verdict: Verdict | None, frame: Frame) -> Placement:
+        team = replay.team_at(self._team, self._window.frames[-1], frame)
+        poses, P, placed = team.y[:-1], team.P, team.placed
+        if verdict is not None and self._hypotheses is not None and (self._settled() | verdict.fitting).sum() > 1:
+            bank = self._hypotheses.bank
+            poses, P = bank.y[verdict.leader, :-1].copy(), bank.P[verdict.leader]
+            placed = self._settled() | verdict.fitting
+        covariances = np.zeros((self._mavs, 4, 4))
+        for j in np.flatnonzero(placed[1:]) + 1:
+            covariances[j] = P[4 * j - 4 : 4 * j, 4 * j - 4 : 4 * j]
+        return Placement(poses, covariances, placed)
+
+    def _test(self, verdict: Verdict) -> Job:
+        """Tests the leader against those who would exchange identities on its places."""
+        assert self._hypotheses is not None
+        name, past = int(self._hypotheses.names[verdict.leader]), self._past(places.FRAMES)
+        found = yield from challenge(self._config, self._hypotheses, verdict.leader, past, self._team.placed)
+        yield from self._add(found.rivals, past[-1])
+        self._challenged = Challenged(name, self._done, found.saturated)
+        self._fruitless += 1
+
+    def _add(self, placements: list[Placement], newest: Frame) -> Job:
+        """New hypotheses of this frame, once they have caught up."""
+        for some in range(0, len(placements), TOGETHER):
+            part = placements[some : some + TOGETHER]
+            team = replay.team_at(self._team, self._window.frames[-1], newest)
+            names = range(self._names, self._names + len(part))
+            self._names += len(part)
+            new = yield from replay.replay(
+                self.filter, self._window, part, team, newest, lambda: self._done, names, self._best
+            )
+            if new is not None:
+                self._keep(new.merged() if self._hypotheses is None else self._hypotheses.joined(new))
+
+    def _best(self, ticks: int, tick: int) -> float:
+        """Nats that the leader earned in so many ticks up to this one."""
+        if self._hypotheses is None or self._verdict is None:
+            return -np.inf
+        return self._hypotheses.earned(self._verdict.leader, ticks, self._done - tick)
+
+    def _keep(self, hypotheses: Hypotheses) -> None:
+        """Keeps the leader, for every MAV the best that places it elsewhere, then the best of the rest."""
+        kept = hypotheses.worth(self._capacity, ~self._team.placed)
+        before = self._verdict and self._hypotheses and int(self._hypotheses.names[self._verdict.leader])
+        self._hypotheses = hypotheses if len(kept) == len(hypotheses) else hypotheses.of(kept)
+        self._verdict = judge(self._hypotheses, self._config.detector.P_D)
+        if before != int(self._hypotheses.names[self._verdict.leader]):
+            self._fruitless = 0
+
+    def _holds(self, ticks: int) -> bool:
+        """Whether the leader was challenged in so many last ticks."""
+        if self._verdict is None or self._hypotheses is None or self._challenged is None:
+            return False
+        same = self._challenged.name == int(self._hypotheses.names[self._verdict.leader])
+        return same and self._done - self._challenged.tick <= ticks
+
+    def _commit(self) -> Commit | None:
+        verdict = self._verdict
+        if not self._holds(CHALLENGE_HOLDS_TICKS) or verdict is None or self._hypotheses is None:
+            return None
+        assert self._challenged is not None
+        ready = verdict.clear & ~self._team.placed & ~self._challenged.saturated
+        if not ready.any() or not verdict.fitting[0]:
+            return None
+        lead = self._hypotheses.bank.of([verdict.leader])
+        for frame in self._window.frames:  # what the bank still waits for: it is now that counts
+            before = self._window.at(frame.tick - 1)
+            if frame.tick > self._done and before is not None:
+                self.filter.step(lead, before, frame)
+        return Commit(np.flatnonzero(ready), lead.y[0], lead.P[0])
