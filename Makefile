@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: run test check bench lock clean
+.PHONY: run test check bench decidable lock clean
 .DEFAULT_GOAL := help
 
 help:
@@ -11,6 +11,7 @@ help:
 	@echo "make test   run the tests"
 	@echo "make check  import contracts, formatting, types and tests"
 	@echo "make bench  time one station update against the plain one, N = 3..9 (runs/bench.json)"
+	@echo "make decidable  measure which starts can be decided (deploy/pictures/decidable.png)"
 	@echo "make lock   renew requirements.lock and requirements-test.lock from pyproject.toml"
 
 run: .venv/ready
@@ -28,6 +29,9 @@ check: .venv/ready-to-test
 
 bench: .venv/ready-to-test
 	$(BIN)/python -m tests.bench.station_update
+
+decidable: .venv/ready-to-test
+	$(BIN)/python -m tests.bench.decidable
 
 .venv/uv:
 	$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed, this is " + sys.version.split()[0]) if sys.version_info < (3, 11) else None'
