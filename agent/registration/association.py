@@ -11,7 +11,7 @@ import numpy as np
 
 from agent.interface.frames import Array
 
-SWEEPS, CONVERGED = 6, 1e-6
+SWEEPS, CONVERGED = 30, 1e-6
 
 
 class Soft(NamedTuple):

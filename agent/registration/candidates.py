@@ -138,5 +138,5 @@ def _covariance(config: AgentConfig, line: Array, distance: float, support: floa
     drift = frames * config.odometry.position_sigma_m**2
     covariance = np.zeros((4, 4))
     covariance[:3, :3] = (across + drift) * np.eye(3) + (along - across) * np.outer(line, line)
-    covariance[3, 3] = 2 * bearing / support + frames * config.odometry.yaw_sigma_rad**2
+    covariance[3, 3] = 2 * bearing / (support * max(1 - line[2] ** 2, 1e-2)) + frames * config.odometry.yaw_sigma_rad**2
     return covariance

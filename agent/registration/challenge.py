@@ -20,6 +20,7 @@ from agent.registration.window import Frame
 
 WITHIN, NEAR = 120.0, 40.0  # nats of the place view: rivals that are looked at, that must all be tested
 MOST, FEW = 16, 4  # rivals tested; where they do not decide anything
+FORBIDDEN = -1e6  # nats
 EACH = 2  # of them for every MAV at least
 Mask = npt.NDArray[np.bool_]
 
@@ -44,6 +45,11 @@ def challenge(
     others = np.flatnonzero(~hypotheses.bank.placed[leader])
     view = yield from places.place_view(config, past, np.concatenate([mavs, others]), track[known], among)
     now, n = track[-1], len(mavs)
+    if team.sum() > 1:  # who is localised stays
+        fixed = np.flatnonzero(team[mavs])
+        view.V[:, fixed] = view.V[fixed] = FORBIDDEN
+        view.V[fixed, fixed] = 0.0
+        view.yaw[fixed, fixed] = now[fixed, 3]
     found = places.rivals(places.PlaceView(view.V[:n], view.yaw[:n]), now, WITHIN)
     yield 0.6 * places.BEAM * len(mavs) ** 2
     relative = _relative(found.poses)

@@ -86,7 +86,9 @@ class Hypotheses:
 
     def earned(self, which: int, ticks: int, ago: int) -> float:
         """Nats of one in the `ticks` that ended so long ago; -inf where its record does not reach back."""
-        part = self.evidence[which, : WINDOW - ago][-ticks:] if ticks else self.evidence[which, :0]
+        if ticks + ago > WINDOW:
+            return -np.inf
+        part = self.evidence[which, WINDOW - ago - ticks : WINDOW - ago]
         return float(part.sum()) if np.isfinite(part).all() else -np.inf
 
     def worth(self, most: int, missing: Mask) -> list[int]:

@@ -20,7 +20,7 @@ Index = npt.NDArray[np.intp]
 
 FIELD_FRAMES = 4  # over which the field is taken
 PLACING_COSTS = 4.0  # nats a frame that a placement must be worth: clutter, too, finds some agreement
-TOO_CLOSE_M, TOO_CLOSE = 0.25, -50.0  # two MAVs cannot be in one place
+TOO_CLOSE_M, TOO_CLOSE = 0.25, -1000.0  # two MAVs cannot be in one place
 BEAM = 300
 WITHIN = 60.0  # nats of the best
 BRANCHES = 4  # of the best placements, how many are completed

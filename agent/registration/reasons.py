@@ -94,6 +94,8 @@ def _exchanged(j: int, rival: int, hypotheses: Hypotheses, leader: int) -> int |
     """On whose place (in the leading hypothesis) the rival puts j."""
     relative, placed = hypotheses.relative(), hypotheses.bank.placed[leader]
     apart = np.linalg.norm(relative[leader, :, :3] - relative[rival, j, :3], axis=-1)
+    if apart[j] <= SAME_M:  # it is its yaw that is in question
+        return None
     apart[~placed] = np.inf
     apart[j] = np.inf
     nearest = int(apart.argmin())

@@ -24,6 +24,7 @@ from agent.registration.verdict import LEAST_TICKS, Verdict, judge
 from agent.registration.window import Frame, Window
 
 PROPOSAL_FRAMES = 8
+LEAST_SLICES = 2  # a tick, however little work it may do: a replay has to gain on the time that goes by
 TOGETHER = 8  # hypotheses that are replayed at once
 HASTY_ROUND_TICKS = 3  # between rounds of proposals while some MAV has no place that fits
 ROUND_TICKS, CHALLENGE_TICKS = 20, 4  # between rounds, and challenges of one leader, that change nothing: at first
@@ -116,8 +117,9 @@ class Registrar:
             self._restart()
             return None
         self._drop_those_against(team)
-        spent = 0.0
-        while spent < self._budget:
+        spent, slices = 0.0, 0
+        while spent < self._budget or slices < LEAST_SLICES:
+            slices += 1
             self._job = self._job or self._next_job()
             if self._job is None:
                 break

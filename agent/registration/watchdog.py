@@ -12,7 +12,7 @@ from agent.interface.frames import Array
 from agent.registration.bank import Bank, Filter, Team
 from agent.registration.window import Frame
 
-EVERY = 3  # ticks between looks
+EVERY, FEW = 3, 3  # ticks between looks; a team so small, which sees little in each, is looked at every tick
 MEMORY = 0.9  # per look
 FAR_LESS = 0.6  # of the share of sightings that the team on the whole explains: inconsistent ...
 LEAST_USUAL = 0.75  # of P_D: what the team explains is not taken to be usual below
@@ -33,7 +33,7 @@ class Watchdog:
 
     def look(self, team: Team, frame: Frame) -> list[int]:
         """Indices of the MAVs that are inconsistent with the rest of the team; 0 means the station itself."""
-        if frame.tick % EVERY:
+        if len(self._expected) > FEW and frame.tick % EVERY:
             return []
         bank = Bank(team.y[None], team.P[None], team.placed[None])
         expected, explained = self._filter.explained(bank, frame)
