@@ -21,6 +21,7 @@ from agent.registration.window import Frame, carried
 
 RANGE_GATE, ELEVATION_GATE = 3.2, 3.5  # standard deviations of the two readings' difference
 LEAST_SUPPORT = 2  # distinct frames
+PER_MAV, MOST = 2, 24  # candidates of one MAV that are kept: so many per MAV of the team, at most so many
 
 
 @dataclass
@@ -68,7 +69,7 @@ def candidates(
     every = _Sightings(*(np.concatenate([getattr(f, n) for f in found]) for n in _Sightings.__annotations__))
     clusters = []
     for j in missing:
-        clusters.append(_clustered(config, every, j, len(frames), 2 * len(base.placed)))
+        clusters.append(_clustered(config, every, j, len(frames), min(PER_MAV * len(base.placed), MOST)))
         yield 3000.0 + 0.6 * float((every.mav == j).sum()) ** 2
     return Candidates(
         np.repeat(missing, [len(poses) for poses, _ in clusters]).astype(np.intp),

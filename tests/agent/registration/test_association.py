@@ -68,9 +68,13 @@ def test_targets_that_are_tied_share_their_detections_alike(L, M, odds):
     assert -0.9 < found.log_normaliser - log_normaliser < 1e-3
 
 
+STUBBORN = pytest.mark.xfail(strict=True, reason="at a detection's odds from near by the sweeps do not converge")
+
+
 @pytest.mark.parametrize(("L", "M"), [(3, 2), (4, 3)])
-def test_more_targets_than_detections_do_not_use_one_twice(L, M):
-    w = np.full((L, M), 1e5)
+@pytest.mark.parametrize("odds", [1e5, pytest.param(1e7, marks=STUBBORN)])
+def test_more_targets_than_detections_do_not_use_one_twice(L, M, odds):
+    w = np.full((L, M), odds)
     found = soft_assignment(w)
     assert found.belief.sum(0).max() < 1.05
     assert found.log_normaliser < every_hypothesis(w)[1] + 0.1
