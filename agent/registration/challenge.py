@@ -12,10 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from agent.config import AgentConfig
-from agent.interface.frames import Array, relative_pose
+from agent.interface.frames import Array, compose, inverse, relative_pose
 from agent.registration import places
 from agent.registration.candidates import Placement
-from agent.registration.hypotheses import Hypotheses, elsewhere
+from agent.registration.hypotheses import SAME_M, Hypotheses, elsewhere
 from agent.registration.window import Frame
 
 WITHIN, NEAR = 120.0, 40.0  # nats of the place view: rivals that are looked at, that must all be tested
@@ -45,12 +45,7 @@ def challenge(
     others = np.flatnonzero(~hypotheses.bank.placed[leader])
     view = yield from places.place_view(config, past, np.concatenate([mavs, others]), track[known], among)
     now, n = track[-1], len(mavs)
-    if team.sum() > 1:  # who is localised stays
-        fixed = np.flatnonzero(team[mavs])
-        view.V[:, fixed] = view.V[fixed] = FORBIDDEN
-        view.V[fixed, fixed] = 0.0
-        view.yaw[fixed, fixed] = now[fixed, 3]
-    found = places.rivals(places.PlaceView(view.V[:n], view.yaw[:n]), now, WITHIN)
+    found = _rivals(places.PlaceView(view.V[:n], view.yaw[:n]), now, np.flatnonzero(team[mavs]))
     yield 0.6 * places.BEAM * len(mavs) ** 2
     relative = _relative(found.poses)
     differs = _differs(_relative(now[None])[0], relative) & ~team[mavs]  # (R, n)
@@ -67,6 +62,30 @@ def challenge(
     if saturated[mavs][~team[mavs]].all():  # nobody can be committed: the best only, they may be better than the leader
         chosen = chosen[:FEW]
     return Challenge([_placement(N, mavs, found.poses[r]) for r in chosen], saturated)
+
+
+def _rivals(view: places.PlaceView, now: Array, fixed: npt.NDArray[np.intp]) -> places.Rivals:
+    """The permutations that leave those localised already (rows `fixed`, the station first) where the station sees
+    them: with the station on another place, they may be on others, too, as in a mirrored line."""
+    if len(fixed) == 1:
+        return places.rivals(view, now, WITHIN)
+    found = []
+    for place in range(len(now)):
+        move = compose(np.append(now[place, :3], view.yaw[0, place]), inverse(now[0]))
+        there = compose(np.repeat(move[None], len(fixed), axis=0), now[fixed])
+        apart = np.linalg.norm(there[:, None, :3] - now[:, :3], axis=-1)
+        to = apart.argmin(axis=1)
+        if (apart.min(axis=1) > SAME_M).any() or len(set(to)) < len(to):
+            continue
+        V, yaw = view.V.copy(), view.yaw.copy()
+        V[:, to] = V[fixed] = FORBIDDEN
+        V[fixed, to], yaw[fixed, to] = view.V[fixed, to], there[:, 3]
+        found.append(places.rivals(places.PlaceView(V, yaw), now, WITHIN))
+    best = max(each.best for each in found)
+    behind = np.concatenate([each.behind + best - each.best for each in found])
+    order = np.argsort(behind, kind="stable")
+    known_to = min(each.known_to + best - each.best for each in found)
+    return places.Rivals(np.concatenate([each.poses for each in found])[order], behind[order], best, known_to)
 
 
 def _chosen(behind: Array, relative: Array, differs: Mask, tested: Mask) -> tuple[list[int], Mask]:

@@ -37,6 +37,7 @@ class Rivals(NamedTuple):
 
     poses: Array  # (R, n, 4) in the station's odometry frame
     behind: Array  # (R,) nats behind the best
+    best: float  # nats of the best
     known_to: float  # nats behind the best up to which all are found
 
 
@@ -169,4 +170,4 @@ def rivals(view: PlaceView, poses: Array, within: float) -> Rivals:
     placed[..., 3] = view.yaw[np.arange(n), where]
     # The station is where its odometry says: everybody moves with it.
     moved = compose(np.repeat(compose(poses[0], inverse(placed[:, 0]))[:, None], n, axis=1), placed)
-    return Rivals(moved, behind, known_to - best)
+    return Rivals(moved, behind, float(view.V.max(1).sum()) - best, known_to - best)

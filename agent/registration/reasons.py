@@ -87,6 +87,8 @@ def _of(j: int, hypotheses: Hypotheses, verdict: Verdict, saturated: Mask | None
             AMBIGUOUS,
             "more exchanges of identity fit equally well than can be tested; a motion of its own would tell",
         )
+    if verdict.rivalled.any():
+        return AMBIGUOUS, "its place is sure, but others may be exchanged, and what is seen of them taken for it"
     return SEARCHING, f"one placement leads after {ticks} ticks, it is being tested against exchanges of identity"
 
 

@@ -256,7 +256,9 @@ class Registrar:
             return None
         assert self._challenged is not None
         ready = verdict.clear & ~self._team.placed & ~self._challenged.saturated
-        if not ready.any() or not verdict.fitting[0]:
+        # While one that has a place may stand elsewhere, what is seen of it would be taken for its neighbours.
+        ambiguous = (verdict.rivalled | self._challenged.saturated) & ~self._team.placed
+        if not ready.any() or not verdict.fitting[0] or ambiguous.any():
             return None
         lead = self._hypotheses.bank.of([verdict.leader])
         for frame in self._window.frames:  # what the bank still waits for: it is now that counts
