@@ -7,6 +7,8 @@ import msgspec
 from agent.interface.sensors import Detector, Odometry
 from agent.interface.tables import parse_table
 
+COASTING_SIGMA = (0.5, 0.5)  # m/s per axis and rad/s: how far a MAV may stray from its last velocity while unheard
+
 
 class Filter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The CPDAF's own parameters."""

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import lapack
 
-from agent.config import AgentConfig
+from agent.config import COASTING_SIGMA, AgentConfig
 from agent.estimator import cpdaf, odometry_model
 from agent.estimator.gating import chi_square_quantile
 from agent.estimator.joint_update import DetectionSet, joint_update
@@ -32,8 +32,6 @@ from agent.estimator.station_update import Pairs, station_update
 from agent.interface.fleet import Fleet
 from agent.interface.frames import Array, wrap
 from agent.interface.messages import LOCALISED, SEARCHING
-
-COASTING_SIGMA = (0.5, 0.5)  # m/s per axis and rad/s: how far a MAV may stray from its last velocity while unheard
 
 BEGUN_ANEW = 1 - 1e-6  # a reading after a silence is further off than this share of them would be
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from agent.config import AgentConfig
+from agent.config import COASTING_SIGMA, AgentConfig
 from agent.interface.frames import Array, rotate_z, wrap
 from agent.registration import views
 from agent.registration.association import Soft, soft_assignment
@@ -24,7 +24,6 @@ from agent.registration.window import Frame, carried
 
 PRIOR_SIGMA_M, PRIOR_SIGMA_PER_M, PRIOR_SIGMA_RAD = 0.08, 0.05, 0.04  # of a placement, by distance
 GATE = 25.0  # squared Mahalanobis distance beyond which a detection cannot be a target's
-COASTING_SIGMA = (0.5, 0.5)  # m/s and rad/s: of a MAV whose odometry is not heard
 Mask = npt.NDArray[np.bool_]
 
 
@@ -72,10 +71,10 @@ class Filter:
         self._drift = drift + 2 * reading
         self._coasting = np.repeat(np.divide(COASTING_SIGMA, rate_hz) ** 2, (3, 1))
 
-    def step(self, bank: Bank, before: Frame, frame: Frame, iterations: int = 1) -> Explained:
+    def step(self, bank: Bank, before: Frame, frame: Frame) -> Explained:
         """Moves the bank from one frame to the next and updates it with that one's detections."""
         self.predict(bank, before, frame)
-        return self.update(bank, frame, iterations)
+        return self.update(bank, frame)
 
     def explained(self, bank: Bank, frame: Frame) -> tuple[Array, Array]:
         """(N, N) P_D of every station-target pair whose set was heard, and the probability that the detection is there;
@@ -144,7 +143,7 @@ class Filter:
     def _linearised(self, bank: Bank, frame: Frame) -> "_Linearised":
         """At the bank's current means."""
         y = bank.y[:, : self._mavs]
-        spherical = views.views(y[:, :, None, :3], y[:, None, :, :3]).spherical
+        spherical = views.predicted(y[:, :, None, :3], y[:, None, :, :3])
         yaw = y[:, :, None, 3]
         P_D = views.detection_probability(self._detector, spherical, yaw)
         P_D = np.where(bank.placed[:, :, None] & bank.placed[:, None] & frame.heard[:, None], P_D, 0.0)

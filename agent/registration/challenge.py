@@ -12,10 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from agent.config import AgentConfig
-from agent.interface.frames import Array, compose, inverse, relative_pose
+from agent.interface.frames import Array, compose, inverse
 from agent.registration import places
 from agent.registration.candidates import Placement
-from agent.registration.hypotheses import SAME_M, Hypotheses, elsewhere
+from agent.registration.hypotheses import SAME_M, Hypotheses, elsewhere, from_station
 from agent.registration.window import Frame
 
 WITHIN, NEAR = 120.0, 40.0  # nats of the place view: rivals that are looked at, that must all be tested
@@ -47,10 +47,10 @@ def challenge(
     now, n = track[-1], len(mavs)
     found = _rivals(places.PlaceView(view.V[:n], view.yaw[:n]), now, np.flatnonzero(team[mavs]))
     yield 0.6 * places.BEAM * len(mavs) ** 2
-    relative = _relative(found.poses)
-    differs = _differs(_relative(now[None])[0], relative) & ~team[mavs]  # (R, n)
+    relative = from_station(found.poses)
+    differs = _differs(from_station(now[None])[0], relative) & ~team[mavs]  # (R, n)
     tested = np.asarray(~differs.any(axis=1))
-    for other in _relative(hypotheses.bank.y[hypotheses.bank.placed[:, mavs].all(axis=1)][:, mavs]):
+    for other in from_station(hypotheses.bank.y[hypotheses.bank.placed[:, mavs].all(axis=1)][:, mavs]):
         tested |= ~_differs(other, relative).any(axis=1)  # who is in the bank competes already
     chosen, tested = _chosen(found.behind, relative, differs, tested)
     near = (found.behind <= NEAR) & ~tested
@@ -71,7 +71,8 @@ def _rivals(view: places.PlaceView, now: Array, fixed: npt.NDArray[np.intp]) -> 
         return places.rivals(view, now, WITHIN)
     found = []
     for place in range(len(now)):
-        move = compose(np.append(now[place, :3], view.yaw[0, place]), inverse(now[0]))
+        turned = view.yaw[0, place] if place else now[0, 3]  # on its own place nothing has moved
+        move = compose(np.append(now[place, :3], turned), inverse(now[0]))
         there = compose(np.repeat(move[None], len(fixed), axis=0), now[fixed])
         apart = np.linalg.norm(there[:, None, :3] - now[:, :3], axis=-1)
         to = apart.argmin(axis=1)
@@ -107,11 +108,6 @@ def _chosen(behind: Array, relative: Array, differs: Mask, tested: Mask) -> tupl
             count += differs[r]
             tested |= ~_differs(relative[r], relative).any(axis=1)
     return chosen, tested
-
-
-def _relative(poses: Array) -> Array:
-    """(R, n, 4) poses in the body frame of the first MAV, the station."""
-    return relative_pose(np.repeat(poses[:, :1], poses.shape[1], axis=1), poses)
 
 
 def _differs(leader: Array, relative: Array) -> Mask:

@@ -75,8 +75,7 @@ class Hypotheses:
 
     def against(self, poses: Array, placed: Mask) -> Mask:
         """(K,) who disagrees with these poses (N, 4), in the station's odometry frame, of the MAVs placed (N,)."""
-        relative = relative_pose(np.repeat(poses[:1], len(poses), axis=0), poses)
-        differs = elsewhere(relative[None], placed[None], self.relative(), self.bank.placed)
+        differs = elsewhere(from_station(poses[None]), placed[None], self.relative(), self.bank.placed)
         return np.asarray((differs & placed).any(axis=1))
 
     @property
@@ -113,8 +112,7 @@ class Hypotheses:
 
     def relative(self) -> Array:
         """(K, N, 4) poses in the station's body frame."""
-        y = self.bank.y[:, :-1]
-        return relative_pose(np.repeat(y[:, :1], y.shape[1], axis=1), y)
+        return from_station(self.bank.y[:, :-1])
 
     def elsewhere(self) -> npt.NDArray[np.bool_]:
         """(K, K, N) whether two hypotheses disagree where a MAV is, or whether that can be said."""
@@ -143,6 +141,11 @@ class Lead(NamedTuple):
     nats: Array  # (K,)
     spread: Array  # (K,) standard deviation of a tick's nats
     ticks: npt.NDArray[np.intp]  # (K,)
+
+
+def from_station(poses: Array) -> Array:
+    """(K, N, 4) poses in the body frame of the first, the station."""
+    return relative_pose(np.repeat(poses[:, :1], poses.shape[1], axis=1), poses)
 
 
 def elsewhere(a: Array, a_placed: Mask, b: Array, b_placed: Mask) -> Mask:

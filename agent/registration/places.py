@@ -64,7 +64,7 @@ def place_view(
     """
     newest, n = frames[-1], track.shape[1]
     V, yaw = np.full((len(mavs), n), NO_YAW), np.tile(track[-1, :, 3], (len(mavs), 1))
-    seen = views.views(track[:, :, None, :3], track[:, None, :, :3]).spherical
+    seen = views.predicted(track[:, :, None, :3], track[:, None, :, :3])
     blocks = P.transpose(0, 2, 1, 3)
     own = blocks[np.arange(n), np.arange(n)]
     G = views.axes(seen)

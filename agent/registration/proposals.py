@@ -101,7 +101,7 @@ def _field(config: AgentConfig, frames: list[Frame], nodes: Candidates) -> Gener
         there = carried(nodes.poses, newest.odometry[mav], frame.odometry[mav])
         heard = np.flatnonzero(frame.heard[mav])
         for some in np.array_split(heard, max(1, len(heard) * C * frame.spherical.shape[1] // 40_000)):
-            spherical = views.views(there[some, None, :3], there[None, :, :3]).spherical
+            spherical = views.predicted(there[some, None, :3], there[None, :, :3])
             yaw = np.broadcast_to(there[some, 3][:, None], spherical.shape[:2])
             sets = frame.spherical[mav[some]][:, None]
             field[some] += views.log_seen(detector, spherical, yaw, variances[some], sets)

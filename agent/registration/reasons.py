@@ -1,14 +1,13 @@
 """Why is a MAV not localised? The state of each, in one of three words and in a sentence."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from agent.interface.frames import Array
-from agent.interface.messages import AMBIGUOUS, LOCALISED, SEARCHING
-from agent.registration.hypotheses import PER_SIGMA, SAME_M, Hypotheses
+from agent.interface.messages import AMBIGUOUS, LOCALISED, MAX_HYPOTHESES, SEARCHING
+from agent.registration.hypotheses import SAME_M, Hypotheses
 from agent.registration.verdict import LEAST_TICKS, Verdict
 
 Mask = npt.NDArray[np.bool_]
@@ -57,10 +56,10 @@ def situation(
             reasons[j] = "looking for a place that its sightings and those of it agree on"
         else:
             states[j], reasons[j] = _of(j, hypotheses, verdict, saturated, ids)
-    if hypotheses is None:
+    if hypotheses is None or verdict is None:
         return Situation(states, tuple(reasons), np.zeros(0), np.zeros((0, mavs), bool), np.zeros((0, mavs, 4)))
-    weights = _weights(hypotheses, verdict)
-    order = np.argsort(-weights, kind="stable")[:16]
+    weights = _weights(hypotheses, verdict.leader)
+    order = np.argsort(-weights, kind="stable")[:MAX_HYPOTHESES]
     placed = hypotheses.bank.placed[order]
     poses = np.where(placed[..., None], hypotheses.bank.y[order, :-1], 0.0)
     return Situation(states, tuple(reasons), weights[order] / weights[order].sum(), placed, poses)
@@ -104,14 +103,8 @@ def _exchanged(j: int, rival: int, hypotheses: Hypotheses, leader: int) -> int |
     return nearest if apart[nearest] < SAME_M else None
 
 
-def _weights(hypotheses: Hypotheses, verdict: Verdict | None) -> Array:
+def _weights(hypotheses: Hypotheses, leader: int) -> Array:
     """Tempered by the random walk of the scores: raw ones look certain where nothing can be decided."""
-    score = hypotheses.recent()
-    spread = 0.0
-    if verdict is not None:
-        lead = hypotheses.lead(verdict.leader)
-        spread = float((lead.spread * np.sqrt(lead.ticks)).max())
-    weights: Array = (
-        np.exp((score - score.max()) / (1 + PER_SIGMA * spread / 6)) if math.isfinite(spread) else score * 0
-    )
-    return np.maximum(weights, 1e-9)
+    score, lead = hypotheses.recent(), hypotheses.lead(leader)
+    walk = float((lead.spread * np.sqrt(lead.ticks)).max())
+    return np.asarray(np.maximum(np.exp((score - score.max()) / (1 + walk)), 1e-9))

@@ -103,8 +103,7 @@ class Registrar:
         silent = np.zeros(self._mavs)
         for frame in self._window.frames:
             silent = np.where(frame.heard, 0, silent + 1)
-        known = self._holds(CHALLENGE_TICKS) and self._challenged is not None
-        saturated = self._challenged.saturated if known and self._challenged is not None else None
+        saturated = self._challenged.saturated if self._challenged and self._holds(CHALLENGE_TICKS) else None
         ticks = len(self._window.frames)
         return situation(self._hypotheses, self._verdict, saturated, team, silent, ticks, ids)
 

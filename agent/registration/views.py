@@ -16,17 +16,9 @@ AGREES = 60.0  # squared normalised residual above which a detection says nothin
 NEAREST_M = 0.3  # of two MAVs' centres: for the density of false detections, and against a division by zero
 
 
-class Views(NamedTuple):
-    """Of station-target pairs (...), in the common frame."""
-
-    spherical: Array  # (..., 3) range m, azimuth rad in common axes, elevation rad
-    lines: Array  # (..., 3) m
-
-
-def views(stations: Array, targets: Array) -> Views:
-    """From stations' to targets' positions (..., 3), broadcast."""
-    lines = targets - stations
-    return Views(range_and_bearing(lines), lines)
+def predicted(stations: Array, targets: Array) -> Array:
+    """(..., 3) [range m, azimuth rad in common axes, elevation rad] from stations' to targets' positions (..., 3)."""
+    return range_and_bearing(targets - stations)
 
 
 def axes(spherical: Array) -> Array:

@@ -16,11 +16,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from agent.config import AgentConfig
-from agent.interface.frames import relative_pose
 from agent.registration import places
 from agent.registration.bank import Filter, Team, begin
 from agent.registration.candidates import Placement
-from agent.registration.hypotheses import LEAST_SIGMA, Hypotheses, elsewhere
+from agent.registration.hypotheses import LEAST_SIGMA, Hypotheses, elsewhere, from_station
 from agent.registration.window import Window
 from tests import team
 
@@ -99,7 +98,7 @@ def nats_per_tick(start, seed: int) -> float:
             found.note(sight.step(found.bank, before, frame))
         return found
 
-    right = carried([relative_pose(np.repeat(truth[:1], mavs, axis=0), truth)], 0, BEFORE)
+    right = carried(from_station(truth[None]), 0, BEFORE)
     now, past = right.track[0, -1], right.track[0, -places.FRAMES :]
     P = np.zeros((mavs, 4, mavs, 4))
     P[1:, :, 1:] = right.bank.P[0].reshape(mavs, 4, mavs, 4)[:-1, :, :-1]
@@ -109,9 +108,8 @@ def nats_per_tick(start, seed: int) -> float:
         )
     )
     poses = places.rivals(view, now, 1e5).poses
-    relative = relative_pose(np.repeat(poses[:, :1], mavs, axis=1), poses)
-    own = relative_pose(np.repeat(now[:1], mavs, axis=0), now)
-    others = poses[elsewhere(own[None], everybody, relative, everybody).any(axis=1)][:RIVALS]
+    differs = elsewhere(from_station(now[None]), everybody, from_station(poses), everybody)
+    others = poses[differs.any(axis=1)][:RIVALS]
     rivals = carried(others, BEFORE, BEFORE + AFTER - 1)
     for before, frame in zip(frames[BEFORE:], frames[BEFORE + 1 :], strict=False):
         right.note(sight.step(right.bank, before, frame))

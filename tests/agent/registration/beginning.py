@@ -5,6 +5,7 @@ Arrays are in the station's order, as in `agent/registration`: itself first, the
 
 import numpy as np
 
+from agent.estimator.gating import chi_square_quantile
 from agent.interface.frames import compose, inverse, range_and_bearing, relative_pose
 from agent.interface.sensors import Detector
 from agent.registration.bank import Bank, Team
@@ -14,6 +15,8 @@ from agent.registration.window import Window
 from tests import team
 
 SURE = Detector(P_D=0.999, false_per_set=1e-6)
+SEEDS = 20  # of a statistical test of four MAVs, and where the mean NEES per dimension of their first estimates lies
+CONSISTENT = [chi_square_quantile(p, SEEDS * 12) / (SEEDS * 12) for p in (0.005, 0.995)]
 
 
 def box(rng, mavs, size=(8.0, 8.0, 1.5)):

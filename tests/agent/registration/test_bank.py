@@ -1,32 +1,26 @@
 """The bank's small filter against the estimator's, against a plain Kalman update, and against the truth."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
 from agent.config import AgentConfig
 from agent.config import Filter as FilterConfig
-from agent.estimator.gating import chi_square_quantile
 from agent.estimator.moments import pose_moments
 from agent.estimator.prediction import predict
 from agent.estimator.state import from_frames
 from agent.interface.frames import range_and_bearing, relative_pose, wrap
-from agent.interface.sensors import Detector, Odometry
+from agent.interface.sensors import Detector
 from agent.registration.bank import Bank, Filter, begin
-from agent.registration.proposals import propose
 from agent.registration.window import Window
 from tests.agent.registration.beginning import (
     SURE,
     alone,
     bank_at,
     exact,
-    finished,
     heard,
     order,
     placement,
     true_poses,
-    wandering,
     window_of,
 )
 
@@ -269,39 +263,3 @@ def test_hypotheses_begin_where_they_are_placed_and_are_carried_back():
     np.testing.assert_allclose(wrap(made.y[0, :3, 3] - truth[:, 3]), 0, atol=1e-9)
     np.testing.assert_array_equal(made.y[0, 3], 0)
     assert np.linalg.eigvalsh(made.P[0]).min() > 0
-
-
-def nees(seed, odometry=None, mavs=4, ticks=20):
-    """Of a hypothesis that a generator's pose began, per dimension."""
-    believed = AgentConfig(odometry=odometry or Odometry())
-    flown = wandering([10, seed], mavs, ticks)
-    early = window_of(flown[:8])
-    reading = heard(flown[7])[0]
-    station = alone(reading[0], mavs)
-    base = placement(true_poses(flown[7]), np.arange(mavs) == 0)
-    first = finished(propose(AgentConfig(), early.frames, base, list(range(1, mavs)), 8))[0][0]
-    window = window_of(flown)
-    bank = begin([first], station, window.frames[7], window.frames[0])
-    sight = Filter(believed, mavs, RATE_HZ)
-    sight.update(bank, window.frames[0], 3)
-    for before, frame in pairwise(window.frames):
-        sight.step(bank, before, frame)
-    error = bank.y[0, 1:mavs] - true_poses(flown[-1])[1:]
-    error[:, 3] = wrap(error[:, 3])
-    n = 4 * (mavs - 1)
-    return error.ravel() @ np.linalg.solve(bank.P[0, :n, :n], error.ravel()) / n
-
-
-SEEDS = 20
-BAND = [chi_square_quantile(p, SEEDS * 12) / (SEEDS * 12) for p in (0.005, 0.995)]
-
-
-@pytest.mark.statistical
-def test_it_is_consistent_where_a_generator_began_it():
-    assert BAND[0] < np.mean([nees(seed) for seed in range(SEEDS)]) < BAND[1]
-
-
-@pytest.mark.statistical
-def test_who_believes_half_the_drift_is_outside_the_band():
-    half = Odometry(position_sigma_m=0.005, yaw_sigma_rad=0.001)
-    assert np.mean([nees(seed, half) for seed in range(SEEDS)]) > BAND[1]

@@ -102,6 +102,31 @@ def test_in_a_larger_circle_too(mavs):
     only_two(ticks, followed(ticks))
 
 
+def line(seed, mavs):
+    at = np.column_stack([np.zeros(mavs), np.arange(mavs), np.zeros(mavs)])
+    return list(team.fly(np.random.default_rng(seed), mavs, 8, lambda t: at))
+
+
+@pytest.mark.parametrize("mavs", [4, 5])
+def test_two_ends_of_a_line_that_are_localised_do_not_say_which_way_round_it_is(mavs):
+    """Turned by half a circle, each end is where the other was: they see one another as before, the rest mirrored."""
+    ticks = line(9, mavs)
+    ends = np.isin(np.arange(mavs), [0, mavs - 1])
+    found = challenged(followed(ticks), ticks, ends)
+    truth = true_poses(ticks[-1])
+    apart = [np.linalg.norm(r.poses[:, None, :3] - truth[None, :, :3], axis=2).argmin(axis=1) for r in found.rivals]
+    assert [0, *range(mavs - 2, 0, -1), mavs - 1] in [each.tolist() for each in apart]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_station_that_has_its_own_yaw_wrong_may_ask_all_the_same(seed):
+    """Turned to where it sees what it sees, it would find nobody of its team on a place."""
+    ticks = hovering([10, seed], 6, 8)
+    made = followed(ticks)
+    made.track[0, :, 0, 3] += 0.7
+    assert challenged(made, ticks, np.arange(6) < 4).rivals == []
+
+
 def test_who_is_not_placed_is_left_out():
     ticks = hovering(6, 5, 8)
     placed = np.array([[True, True, False, True, True]])

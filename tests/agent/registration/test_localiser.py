@@ -5,7 +5,6 @@ import pytest
 
 from agent.config import AgentConfig
 from agent.estimator.estimator import Estimator
-from agent.estimator.gating import chi_square_quantile
 from agent.estimator.joint_update import DetectionSet
 from agent.interface.fleet import Fleet
 from agent.interface.frames import compose, relative_pose, wrap
@@ -13,7 +12,7 @@ from agent.interface.messages import LOCALISED, SEARCHING
 from agent.interface.sensors import Detector
 from agent.localiser import Localiser
 from tests import team
-from tests.agent.registration.beginning import hovering, order, wandering
+from tests.agent.registration.beginning import CONSISTENT, SEEDS, hovering, order, wandering
 
 
 def fly(ticks, station=1, heard=lambda k, i: True, config=None, survey=False, delay=0):
@@ -208,19 +207,15 @@ def nees(seed, config=None, mavs=4):
     raise AssertionError("never localised")
 
 
-SEEDS = 20
-BAND = [chi_square_quantile(p, SEEDS * 12) / (SEEDS * 12) for p in (0.005, 0.995)]
-
-
 @pytest.mark.statistical
 def test_the_filter_begins_as_sure_as_it_may_be():
-    assert BAND[0] < np.mean([nees(seed) for seed in range(SEEDS)]) < BAND[1]
+    assert CONSISTENT[0] < np.mean([nees(seed) for seed in range(SEEDS)]) < CONSISTENT[1]
 
 
 @pytest.mark.statistical
 def test_who_believes_in_sharper_eyes_is_outside_the_band():
     sharper = Detector(bearing_sigma_rad=0.006, range_sigma_slope=0.037, range_sigma_offset_m=0.025)
-    assert np.mean([nees(seed, AgentConfig(detector=sharper)) for seed in range(SEEDS)]) > BAND[1]
+    assert np.mean([nees(seed, AgentConfig(detector=sharper)) for seed in range(SEEDS)]) > CONSISTENT[1]
 
 
 def test_a_survey_is_used_as_before():

@@ -41,7 +41,7 @@ def for_every_yaw(frames, track, j, place):
     for frame, poses in zip(frames, track, strict=True):
         yaw = YAWS + frame.odometry[j, 3] - frames[-1].odometry[j, 3]
         for target in set(range(len(poses))) - {place}:
-            seen = views.views(poses[place, :3], poses[target, :3]).spherical
+            seen = views.predicted(poses[place, :3], poses[target, :3])
             G = views.axes(seen)
             variances = views.noise(CONFIG.detector, seen[0]) + 2 * places.PLACE_SIGMA_M**2 * (G * G).sum(-1)
             every, of = (np.tile(each, (len(YAWS), 1)) for each in (seen, variances))

@@ -117,7 +117,7 @@ def test_the_field_is_what_each_two_see_of_one_another():
     for frame in frames:
         there = carried(poses, frames[-1].odometry[mav], frame.odometry[mav])
         for i, j in np.ndindex(5, 5):
-            now, then = (views.views(p[i, :3], p[j, :3]).spherical for p in (poses, there))
+            now, then = (views.predicted(p[i, :3], p[j, :3]) for p in (poses, there))
             G = views.axes(now)
             variances = 2 * sigma[0] ** 2 * (G * G).sum(-1) + views.noise(CONFIG.detector, now[0])
             variances[1] += sigma[3] ** 2
