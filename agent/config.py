@@ -32,7 +32,7 @@ class Filter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Registration(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How the team is localised from an unknown start."""
 
-    work_per_mav: float = 7_000.0  # detection-target pairs looked at per tick and MAV of the team
+    work_per_mav: float = 8_000.0  # detection-target pairs looked at per tick and MAV of the team
 
     def __post_init__(self) -> None:
         if not 100 <= self.work_per_mav <= 1e9:

@@ -11,6 +11,7 @@ which is comparable between hypotheses, because each pays for the drift that it 
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -79,8 +80,9 @@ class Filter:
     def explained(self, bank: Bank, frame: Frame) -> tuple[Array, Array]:
         """(N, N) P_D of every station-target pair whose set was heard, and the probability that the detection is there;
         by the first hypothesis."""
-        here = self._linearised(bank, frame)
-        soft = soft_assignment(self._odds(here, frame, self._covariances(bank.P, here)))
+        here = self._predicted(bank, frame)
+        S = _covariances(bank.P, here, _Slopes.at(here))
+        soft = soft_assignment(self._odds(here, frame, *_normalised(here.nu, S)))
         return here.P_D[0], soft.belief[0].sum(-1)
 
     def predict(self, bank: Bank, before: Frame, frame: Frame) -> None:
@@ -111,36 +113,37 @@ class Filter:
 
     def update(self, bank: Bank, frame: Frame, iterations: int = 1) -> Explained:
         K, N = bank.size, self._mavs
+        every = np.arange(4 * N)
         prior_mean, L = bank.y.copy(), np.linalg.cholesky(bank.P)
         P, dx = bank.P, np.zeros((K, 4 * N))
         for _ in range(iterations):
-            here = self._linearised(bank, frame)
-            soft = soft_assignment(self._odds(here, frame, self._covariances(P, here)))
-            M, g = _information(soft, here)
+            here = self._predicted(bank, frame)
+            slopes = _Slopes.at(here)
+            soft = soft_assignment(self._odds(here, frame, *_normalised(here.nu, _covariances(P, here, slopes))))
+            M, g = _information(soft, here, slopes)
             if dx.any():
-                g += np.einsum("kab,kb->ka", M, dx)
-            LM = L.transpose(0, 2, 1) @ M @ L
-            LM[:, np.arange(4 * N), np.arange(4 * N)] += 1.0
-            C = np.linalg.cholesky(LM)
-            X = np.linalg.solve(C, L.transpose(0, 2, 1))  # A^-1 = X' X
+                g += (M @ dx[..., None])[..., 0]
+            A = L.transpose(0, 2, 1) @ M @ L  # of the prior's units: I + this is what is known afterwards
+            A[:, every, every] += 1.0
+            C = np.linalg.cholesky(A)
+            X = np.linalg.solve(C, L.transpose(0, 2, 1))
             P = X.transpose(0, 2, 1) @ X
-            t = np.linalg.solve(C.transpose(0, 2, 1), (X @ g[..., None]))  # in units of the prior
-            dx = (X.transpose(0, 2, 1) @ (X @ g[..., None]))[..., 0]
+            dx = (P @ g[..., None])[..., 0]
             bank.y = prior_mean.copy()
             bank.y[:, 1:] += dx.reshape(K, N, 4)
         bank.P = P
-        here = self._linearised(bank, frame)
-        noise = np.zeros((K, N, N, 3, 3))
-        noise[..., (0, 1, 2), (0, 1, 2)] = here.R
-        soft = soft_assignment(self._odds(here, frame, noise))
-        missed = np.log1p(-here.P_D).sum((1, 2))
-        log_Z = soft.log_normaliser.sum(1) + missed
-        evidence = log_Z - 0.5 * (t[..., 0] ** 2).sum(1) - np.log(C[:, np.arange(4 * N), np.arange(4 * N)]).sum(1)
+        moved = (dx * (g - (M @ dx[..., None])[..., 0])).sum(1)  # squared, by the prior's covariance
+        here = self._predicted(bank, frame)
         square = here.nu.square(here.R)
-        used = np.where(soft.belief > 0.5, square, 0.0).sum((1, 2, 3))
-        return Explained(evidence, here.P_D, soft.belief.sum(-1), used, (soft.belief > 0.5).sum((1, 2, 3)))
+        soft = soft_assignment(self._odds(here, frame, square, here.R.prod(-1)))
+        log_Z = soft.log_normaliser.sum(1) + np.log1p(-here.P_D).sum((1, 2))
+        evidence = log_Z - 0.5 * moved - np.log(C[:, every, every]).sum(1)
+        used = soft.belief > 0.5
+        return Explained(
+            evidence, here.P_D, soft.belief.sum(-1), np.where(used, square, 0.0).sum((1, 2, 3)), used.sum((1, 2, 3))
+        )
 
-    def _linearised(self, bank: Bank, frame: Frame) -> "_Linearised":
+    def _predicted(self, bank: Bank, frame: Frame) -> "_Predicted":
         """At the bank's current means."""
         y = bank.y[:, : self._mavs]
         spherical = views.predicted(y[:, :, None, :3], y[:, None, :, :3])
@@ -150,62 +153,77 @@ class Filter:
         diagonal = np.arange(self._mavs)
         P_D[:, diagonal, diagonal] = 0.0
         nu = views.residuals(spherical, np.broadcast_to(yaw, P_D.shape), frame.spherical[None, :, None])
-        H_target = np.zeros((*P_D.shape, 3, 4))
-        H_target[..., :3] = views.axes(spherical)
-        H_station = -H_target
-        H_station[..., 1, 3] = -np.cos(spherical[..., 2])
-        R = views.noise(self._detector, spherical[..., 0])
-        return _Linearised(nu, R, P_D, H_station, H_target)
+        return _Predicted(spherical, nu, views.noise(self._detector, spherical[..., 0]), P_D)
 
-    def _covariances(self, P: Array, here: "_Linearised") -> Array:
-        """S (K, N, N, 3, 3) of every pair's residual."""
-        K, N = len(P), self._mavs
-        full = np.zeros((K, N, 4, N, 4))
-        full[:, 1:, :, 1:] = P.reshape(K, N, 4, N, 4)[:, : N - 1, :, : N - 1]
-        blocks = full.transpose(0, 1, 3, 2, 4)  # (K, i, j, 4, 4)
-        own = blocks[:, np.arange(N), np.arange(N)]
-        Hi, Hj = here.H_station, here.H_target
-        cross = Hi @ blocks @ Hj.swapaxes(-1, -2)
-        S = Hi @ own[:, :, None] @ Hi.swapaxes(-1, -2) + Hj @ own[:, None] @ Hj.swapaxes(-1, -2)
-        S += cross + cross.swapaxes(-1, -2)
-        S[..., (0, 1, 2), (0, 1, 2)] += here.R
-        return S
-
-    def _odds(self, here: "_Linearised", frame: Frame, S: Array) -> Array:
-        """(K, N, N, M) odds of every detection to be of every target against missed and false."""
-        square, determinant = _normalised(here.nu, S)
+    def _odds(self, here: "_Predicted", frame: Frame, square: Array, determinant: Array) -> Array:
+        """(K, N, N, M) odds of every detection to be of every target against missed and false, from nu' S^-1 nu
+        (K, N, N, M) and |S| (K, N, N)."""
         kappa = views.clutter(self._detector, frame.spherical[..., 0])[:, None]
-        scale = np.sqrt((2 * np.pi) ** 3 * determinant)[..., None] * kappa
-        odds = (here.P_D / (1 - here.P_D))[..., None]
-        return np.where(square < GATE, odds * np.exp(-0.5 * square) / scale, 0.0)  # NaN compares false
+        scale = here.P_D / (1 - here.P_D) / np.sqrt((2 * np.pi) ** 3 * determinant)
+        return np.where(square < GATE, np.exp(-0.5 * square) * scale[..., None] / kappa, 0.0)  # NaN compares false
 
 
-@dataclass
-class _Linearised:
+class _Predicted(NamedTuple):
+    """What every station (i) should see of every target (j), and how the detections differ."""
+
+    spherical: Array  # (K, N, N, 3) common axes
     nu: views.Residuals  # (K, N, N, M)
-    R: Array  # (K, N, N, 3)
+    R: Array  # (K, N, N, 3) variances of nu
     P_D: Array  # (K, N, N)
-    H_station: Array  # (K, N, N, 3, 4)
-    H_target: Array  # (K, N, N, 3, 4)
 
 
-def _information(soft: Soft, here: _Linearised) -> tuple[Array, Array]:
+class _Slopes(NamedTuple):
+    """Derivatives of what is predicted: G by the target's position, -G by the station's, -lever by its yaw (azimuth
+    alone)."""
+
+    G: Array  # (K, N, N, 3, 3)
+    lever: Array  # (K, N, N)
+
+    @staticmethod
+    def at(here: _Predicted) -> "_Slopes":
+        return _Slopes(views.axes(here.spherical), np.cos(here.spherical[..., 2]))
+
+
+def _covariances(P: Array, here: _Predicted, slopes: _Slopes) -> Array:
+    """S (K, N, N, 3, 3) of every pair's residual."""
+    K, N = here.P_D.shape[:2]
+    full = np.zeros((K, N, N, 4, 4))  # (K, i, j, ...): station and target, the station's own pose being certain
+    full[:, 1:, 1:] = P.reshape(K, N, 4, N, 4)[:, : N - 1, :, : N - 1].transpose(0, 1, 3, 2, 4)
+    own = full[:, np.arange(N), np.arange(N)]
+    position = full[..., :3, :3]
+    apart = own[:, :, None, :3, :3] + own[:, None, :, :3, :3] - position - position.swapaxes(1, 2)
+    with_yaw = own[:, :, None, :3, 3] - full[..., 3, :3]  # of the line of sight and the station's yaw, negative
+    G, lever = slopes
+    S = G @ apart @ G.swapaxes(-1, -2)
+    turned = lever[..., None] * (G @ with_yaw[..., None])[..., 0]
+    turned[..., 1] += 0.5 * lever**2 * own[:, :, None, 3, 3]
+    S[..., 1, :] += turned
+    S[..., :, 1] += turned
+    S[..., (0, 1, 2), (0, 1, 2)] += here.R
+    return S
+
+
+def _information(soft: Soft, here: _Predicted, slopes: _Slopes) -> tuple[Array, Array]:
     """Of all detections, weighted by belief: matrix (K, 4N, 4N) and vector (K, 4N), without the station's rows."""
     K, N = here.P_D.shape[:2]
-    weight = soft.belief.sum(-1)
-    mean = np.stack([(np.where(soft.belief > 0, part, 0.0) * soft.belief).sum(-1) for part in here.nu], axis=-1)
-    Wi = here.H_station / here.R[..., None]
-    Wj = here.H_target / here.R[..., None]
-    Wi_t, Wj_t = Wi.swapaxes(-1, -2), Wj.swapaxes(-1, -2)
-    M = np.zeros((K, N + 1, 4, N + 1, 4))
-    cross = weight[..., None, None] * (Wi_t @ here.H_target)  # (K, i, j, 4, 4): rows station, columns target
-    M[:, :N, :, :N] = (cross + cross.transpose(0, 2, 1, 4, 3)).transpose(0, 1, 3, 2, 4)
-    own = (weight[..., None, None] * (Wi_t @ here.H_station)).sum(2)
-    own += (weight[..., None, None] * (Wj_t @ here.H_target)).sum(1)
-    every = np.arange(N)
-    M[:, every, :, every] += own.transpose(1, 0, 2, 3)
-    g = np.zeros((K, N + 1, 4))
-    g[:, :N] = (Wi_t @ mean[..., None])[..., 0].sum(2) + (Wj_t @ mean[..., None])[..., 0].sum(1)
+    every, (G, lever) = np.arange(N), slopes
+    weight = soft.belief.sum(-1)[..., None] / here.R
+    some = soft.belief > 0
+    mean = np.stack([(np.where(some, part, 0.0) * soft.belief).sum(-1) for part in here.nu], axis=-1) / here.R
+    weighted = G * weight[..., None]
+    W = G.swapaxes(-1, -2) @ weighted
+    W += W.transpose(0, 2, 1, 3, 4)  # i of j, and j of i
+    with_yaw = weighted[..., 1, :] * lever[..., None]
+    M, g = np.zeros((K, N + 1, 4, N + 1, 4)), np.zeros((K, N + 1, 4))
+    M[:, :N, :3, :N, :3] = -W.transpose(0, 1, 3, 2, 4)
+    M[:, every, :3, every, :3] = W.sum(2).transpose(1, 0, 2, 3)
+    M[:, :N, 3, :N, :3] = -with_yaw
+    M[:, every, 3, every, :3] = with_yaw.sum(2)
+    M[:, :N, :3, :N, 3] = M[:, :N, 3, :N, :3].transpose(0, 2, 3, 1)
+    M[:, every, 3, every, 3] = (weight[..., 1] * lever**2).sum(2)
+    along = (mean[..., None, :] @ G)[..., 0, :]
+    g[:, :N, :3] = along.sum(1) - along.sum(2)
+    g[:, :N, 3] = -(lever * mean[..., 1]).sum(2)
     return M[:, 1:, :, 1:].reshape(K, 4 * N, 4 * N), g[:, 1:].reshape(K, 4 * N)
 
 

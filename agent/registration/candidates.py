@@ -70,7 +70,7 @@ def candidates(
     clusters = []
     for j in missing:
         clusters.append(_clustered(config, every, j, len(frames), min(PER_MAV * len(base.placed), MOST)))
-        yield 3000.0 + 0.6 * float((every.mav == j).sum()) ** 2
+        yield 4000.0 + 0.9 * float((every.mav == j).sum()) ** 2
     return Candidates(
         np.repeat(missing, [len(poses) for poses, _ in clusters]).astype(np.intp),
         np.concatenate([poses for poses, _ in clusters]),

@@ -15,10 +15,10 @@ from agent.config import AgentConfig
 from agent.interface.frames import Array, compose, inverse
 from agent.registration import places
 from agent.registration.candidates import Placement
-from agent.registration.hypotheses import SAME_M, Hypotheses, elsewhere, from_station
+from agent.registration.hypotheses import MARGIN, SAME_M, Hypotheses, elsewhere, from_station
 from agent.registration.window import Frame
 
-WITHIN, NEAR = 120.0, 40.0  # nats of the place view: rivals that are looked at, that must all be tested
+WITHIN, NEAR = 3.0, 18.0  # nats, times NEAR by the root of the frames: rivals that are looked at, that must be tested
 MOST, FEW = 16, 4  # rivals tested; where they do not decide anything
 FORBIDDEN = -1e6  # nats
 EACH = 2  # of them for every MAV at least
@@ -45,30 +45,32 @@ def challenge(
     others = np.flatnonzero(~hypotheses.bank.placed[leader])
     view = yield from places.place_view(config, past, np.concatenate([mavs, others]), track[known], among)
     now, n = track[-1], len(mavs)
-    found = _rivals(places.PlaceView(view.V[:n], view.yaw[:n]), now, np.flatnonzero(team[mavs]))
+    near_by = NEAR * len(past) ** 0.5  # equals differ by a random walk
+    found = _rivals(places.PlaceView(view.V[:n], view.yaw[:n]), now, np.flatnonzero(team[mavs]), WITHIN * near_by)
     yield 0.6 * places.BEAM * len(mavs) ** 2
     relative = from_station(found.poses)
     differs = _differs(from_station(now[None])[0], relative) & ~team[mavs]  # (R, n)
     tested = np.asarray(~differs.any(axis=1))
+    own_behind = found.behind[tested].min(initial=np.inf)  # nats that the leader itself is behind the best
     for other in from_station(hypotheses.bank.y[hypotheses.bank.placed[:, mavs].all(axis=1)][:, mavs]):
         tested |= ~_differs(other, relative).any(axis=1)  # who is in the bank competes already
-    chosen, tested = _chosen(found.behind, relative, differs, tested)
-    near = (found.behind <= NEAR) & ~tested
+    chosen, tested = _chosen(found.behind, relative, differs, tested, near_by)
+    near = (found.behind <= near_by) & ~tested
     saturated = np.zeros(N, bool)
-    saturated[mavs] = differs[near].any(0) | (found.known_to < NEAR)
+    saturated[mavs] = differs[near].any(0) | (found.known_to < near_by)
     if len(others):  # one that has no place yet might be who stands there
-        saturated[mavs] |= (view.V[n:] > np.diag(view.V[:n]) - NEAR).any(axis=0) & ~team[mavs]
+        saturated[mavs] |= (view.V[n:] > np.diag(view.V[:n]) - near_by).any(axis=0) & ~team[mavs]
     yield 5.0 * len(found.poses) * (1 + len(chosen))
-    if saturated[mavs][~team[mavs]].all():  # nobody can be committed: the best only, they may be better than the leader
-        chosen = chosen[:FEW]
+    if saturated[mavs][~team[mavs]].all():  # nobody can be committed: only who may be better than the leader matters
+        chosen = [r for r in chosen if found.behind[r] < own_behind - MARGIN][:FEW]
     return Challenge([_placement(N, mavs, found.poses[r]) for r in chosen], saturated)
 
 
-def _rivals(view: places.PlaceView, now: Array, fixed: npt.NDArray[np.intp]) -> places.Rivals:
+def _rivals(view: places.PlaceView, now: Array, fixed: npt.NDArray[np.intp], within: float) -> places.Rivals:
     """The permutations that leave those localised already (rows `fixed`, the station first) where the station sees
     them: with the station on another place, they may be on others, too, as in a mirrored line."""
     if len(fixed) == 1:
-        return places.rivals(view, now, WITHIN)
+        return places.rivals(view, now, within)
     found = []
     for place in range(len(now)):
         turned = view.yaw[0, place] if place else now[0, 3]  # on its own place nothing has moved
@@ -81,7 +83,7 @@ def _rivals(view: places.PlaceView, now: Array, fixed: npt.NDArray[np.intp]) -> 
         V, yaw = view.V.copy(), view.yaw.copy()
         V[:, to] = V[fixed] = FORBIDDEN
         V[fixed, to], yaw[fixed, to] = view.V[fixed, to], there[:, 3]
-        found.append(places.rivals(places.PlaceView(V, yaw), now, WITHIN))
+        found.append(places.rivals(places.PlaceView(V, yaw), now, within))
     best = max(each.best for each in found)
     behind = np.concatenate([each.behind + best - each.best for each in found])
     order = np.argsort(behind, kind="stable")
@@ -89,7 +91,7 @@ def _rivals(view: places.PlaceView, now: Array, fixed: npt.NDArray[np.intp]) -> 
     return places.Rivals(np.concatenate([each.poses for each in found])[order], behind[order], best, known_to)
 
 
-def _chosen(behind: Array, relative: Array, differs: Mask, tested: Mask) -> tuple[list[int], Mask]:
+def _chosen(behind: Array, relative: Array, differs: Mask, tested: Mask, near_by: float) -> tuple[list[int], Mask]:
     """Which rivals to test, and (R,) which are tested then: those alike, too.
 
     Args:
@@ -97,13 +99,14 @@ def _chosen(behind: Array, relative: Array, differs: Mask, tested: Mask) -> tupl
         relative: (R, n, 4) their poses in the station's body frame.
         differs: (R, n) whom they place elsewhere than the leader.
         tested: (R,) which need not be.
+        near_by: nats within which all must be.
     """
     chosen: list[int] = []
     tested, count = tested.copy(), differs[tested].sum(axis=0)
     for r in np.flatnonzero(~tested):
         if len(chosen) == MOST:
             break
-        if not tested[r] and (behind[r] <= NEAR or (count[differs[r]] < EACH).any()):
+        if not tested[r] and (behind[r] <= near_by or (count[differs[r]] < EACH).any()):
             chosen.append(int(r))
             count += differs[r]
             tested |= ~_differs(relative[r], relative).any(axis=1)

@@ -12,7 +12,8 @@ from agent.registration.bank import Bank, Explained
 
 WINDOW = 40  # ticks over which evidence is summed
 MEMORY = 0.95  # per tick: of how well detections are explained
-MARGIN, PER_SIGMA, LEAST_SIGMA = 12.0, 6.0, 3.0  # nats, and standard deviations of the ratio's random walk
+MARGIN, LEAST_SIGMA = 12.0, 3.0  # nats, and standard deviation of a tick of the ratio's random walk, at least
+PER_SIGMA, PER_SPREAD = 6.0, 3.0  # standard deviations of what speaks against the leader, and of everything
 HOPELESS = 3.0  # margins
 SAME_M, SAME_RAD = 0.3, 0.12  # two poses relative to the station within these are one place
 Mask = npt.NDArray[np.bool_]
@@ -131,7 +132,10 @@ class Hypotheses:
         # From the differences of successive ticks: their variance is that of the noise, whatever the trend.
         change = np.diff(D, axis=1)
         spread = np.sqrt(np.nansum(change**2, axis=1) / np.maximum(2 * (ticks - 1), 1))
-        return Lead(np.nansum(D, axis=1), spread, ticks)
+        # What speaks against the leader alone: of equals it is half of the noise; but where a rival is wrong in what is
+        # seldom seen, most of the spread is evidence for the leader.
+        against = np.sqrt(2 * np.nansum(np.minimum(D, 0) ** 2, axis=1) / np.maximum(ticks, 1))
+        return Lead(np.nansum(D, axis=1), spread, against, ticks)
 
 
 _PARTS = ("names", "evidence", "track", "expected", "explained", "square", "events")  # by hypothesis, beside the bank
@@ -140,6 +144,7 @@ _PARTS = ("names", "evidence", "track", "expected", "explained", "square", "even
 class Lead(NamedTuple):
     nats: Array  # (K,)
     spread: Array  # (K,) standard deviation of a tick's nats
+    against: Array  # (K,) the same, by the ticks that speak against the leader
     ticks: npt.NDArray[np.intp]  # (K,)
 
 
@@ -150,6 +155,7 @@ def from_station(poses: Array) -> Array:
 
 def elsewhere(a: Array, a_placed: Mask, b: Array, b_placed: Mask) -> Mask:
     """Whether poses (..., N, 4) relative to the station are two places, or one of them is not known."""
-    apart = np.linalg.norm(a[..., :3] - b[..., :3], axis=-1) > SAME_M
+    line = a[..., :3] - b[..., :3]
+    apart = np.vecdot(line, line) > SAME_M**2
     turned = np.abs(wrap(a[..., 3] - b[..., 3])) > SAME_RAD
     return np.asarray(np.where(a_placed & b_placed, apart | turned, a_placed != b_placed))

@@ -14,15 +14,14 @@ import numpy.typing as npt
 from agent.config import AgentConfig
 from agent.interface.frames import Array, compose, inverse, wrap
 from agent.registration import views
-from agent.registration.candidates import ELEVATION_GATE, RANGE_GATE
 from agent.registration.window import Frame
 
 Index = npt.NDArray[np.intp]
 
 FRAMES = 5
 PLACE_SIGMA_M = 0.02  # by which a hypothesis that has the identities wrong displaces its places
-MATCHES = 12.0  # squared normalised residual below which a detection corrects the yaw
-YAWS = 2  # of the best for a MAV and a place that are looked at more closely
+AGREES, MATCHES = 36.0, 12.0  # squared normalised residuals below which a detection counts, and proposes a yaw
+YAWS, SAME_YAW_RAD = 2, 0.05  # of the best for a MAV and a place that are looked at more closely, so far apart
 NO_YAW = -1e3  # nats, where none fits any detection
 BEAM = 300
 
@@ -41,13 +40,26 @@ class Rivals(NamedTuple):
     known_to: float  # nats behind the best up to which all are found
 
 
-class _Past(NamedTuple):
-    """What one MAV heard in F frames, and what it would see from each of n places."""
+class _Scene(NamedTuple):
+    """What a MAV would see in F frames from each of n places."""
 
     seen: Array  # (F, n, n, 3) of target (second n) from place (first n), common axes
     variances: Array  # (F, n, n, 3)
-    sets: Array  # (F, M, 3) its detections
     turned: Array  # (F,) rad: its yaw then, less its yaw now
+
+
+class _Hits(NamedTuple):
+    """One MAV's detections that agree, in range and elevation, with a target seen from a place; sorted by place."""
+
+    first: Index  # (n + 1,) where each place's begin
+    place: Index  # (H,) of n
+    term: Index  # (H,) frame and target, as one index of F n
+    frame: Index  # (H,)
+    yaw: Array  # (H,) rad of the MAV now, with which the azimuths would agree, too
+    lever: Array  # (H,) cos of the elevation
+    variance: Array  # (H,) of the azimuth's residual
+    square: Array  # (H,) normalised squared residual of range and elevation
+    peak: Array  # (H,) of the density against that of false detections
 
 
 def place_view(
@@ -70,75 +82,113 @@ def place_view(
     G = views.axes(seen)
     variances = ((G @ (own[:, None] + own - blocks - blocks.swapaxes(0, 1))) * G).sum(-1)
     variances += 2 * PLACE_SIGMA_M**2 * (G * G).sum(-1) + views.noise(config.detector, seen[..., 0])
-    most = max(f.spherical.shape[1] for f in frames)
     for row, j in enumerate(mavs):
         heard = [k for k, f in enumerate(frames) if f.heard[j]]
         if heard:
-            sets = np.full((len(heard), most, 3), np.nan)
-            for at, k in enumerate(heard):
-                sets[at, : frames[k].spherical.shape[1]] = frames[k].spherical[j]
+            sets = [frames[k].spherical[j] for k in heard]
             turned = np.array([frames[k].odometry[j, 3] - newest.odometry[j, 3] for k in heard])
-            tried = yield from _row(config, _Past(seen[heard], variances[heard], sets, turned), V[row], yaw[row])
-            yield tried
+            tried = _row(config, _Scene(seen[heard], variances[heard], turned), sets, V[row], yaw[row])
+            yield 2500.0 + 1.5 * tried
     return PlaceView(V, yaw)
 
 
-def _row(config: AgentConfig, past: _Past, V: Array, yaw: Array) -> Generator[float, None, float]:
-    """Fills in one MAV's row of V and of the yaws; returns what it cost."""
-    F, n, M = len(past.sets), len(V), past.sets.shape[1]
-    place, psi = (np.concatenate(each) for each in zip(*(_yaws(past, f) for f in range(max(0, F - 2), F)), strict=True))
+def _row(config: AgentConfig, scene: _Scene, sets: list[Array], V: Array, yaw: Array) -> int:
+    """Fills in one MAV's row of V (n,) and of the yaws (n,) from its F sets (M, 3); returns how many hits it tried."""
+    hits, F, n = _hits(config, scene, sets), len(sets), len(V)
+    near = np.flatnonzero((hits.frame >= F - 2) & (hits.square < MATCHES))
+    place, psi = hits.place[near], hits.yaw[near]
     if not len(place):
-        return float(n * n * M)
-    yield 1000.0 + 0.3 * len(place) * n * M
-    newest = _Past(*(part[-1:] for part in past))
-    best = _best_of_each(place, psi, _score(config, newest, place, psi), n)
-    psi = _refined(past, place[best], psi[best])
+        return len(hits.place)
+    newest = hits.frame == F - 1
+    before = np.concatenate([[0], np.cumsum(newest)])
+    last = _Hits(before[hits.first], *(part[newest] for part in hits[1:]))
+    best = _best_of_each(place, psi, _score(config, scene, last, place, psi, [F - 1]), n)
+    psi = _refined(hits, place[best], psi[best])
     place = place[best]
-    score = _score(config, past, place, psi)
+    score = _score(config, scene, hits, place, psi, list(range(F)))
     for k in np.argsort(score, kind="stable"):
         V[place[k]], yaw[place[k]] = score[k], psi[k]
-    return 3000.0 + 1.6 * float(len(place) * F * n * M)
+    return len(hits.place) + len(near) * len(last.place) // n
 
 
-def _yaws(past: _Past, frame: int) -> tuple[Array, Array]:
-    """Places and yaws (now) from which some detection of this frame would be some target."""
-    seen, variances, z = past.seen[frame], past.variances[frame], past.sets[frame]
-    agree = np.abs(z[:, 0] - seen[..., :1]) < RANGE_GATE * np.sqrt(variances[..., :1])
-    agree &= np.abs(z[:, 2] - seen[..., 2:]) < ELEVATION_GATE * np.sqrt(variances[..., 2:])
-    agree[np.arange(len(seen)), np.arange(len(seen))] = False
-    place, target, m = agree.nonzero()
-    return place, np.asarray(wrap(seen[place, target, 1] - z[m, 1] - past.turned[frame]))
+def _hits(config: AgentConfig, scene: _Scene, sets: list[Array]) -> _Hits:
+    F, n = scene.seen.shape[:2]
+    z = np.full((F, max(map(len, sets)), 3), np.nan)
+    for k, each in enumerate(sets):
+        z[k, : len(each)] = each
+    off_range = (z[:, None, None, :, 0] - scene.seen[..., :1]) ** 2 / scene.variances[..., :1]
+    off_elevation = (z[:, None, None, :, 2] - scene.seen[..., 2:]) ** 2 / scene.variances[..., 2:]
+    square = off_range + off_elevation
+    agree = square < AGREES  # NaN compares false
+    agree[:, np.arange(n), np.arange(n)] = False
+    place, frame, target, m = agree.transpose(1, 0, 2, 3).nonzero()
+    pair = (frame, place, target)
+    variances, detected = scene.variances[pair], z[frame, m]
+    clutter = views.clutter(config.detector, detected[:, 0])
+    return _Hits(
+        np.searchsorted(place, np.arange(n + 1)),
+        place,
+        frame * n + target,
+        frame,
+        scene.seen[pair][:, 1] - detected[:, 1] - scene.turned[frame],
+        np.cos(scene.seen[pair][:, 2]),
+        variances[:, 1],
+        square[frame, place, target, m],
+        1.0 / (np.sqrt((2 * np.pi) ** 3 * variances.prod(-1)) * clutter),
+    )
 
 
-def _score(config: AgentConfig, past: _Past, place: Index, psi: Array) -> Array:
-    """(C,) nats: how well the sets agree with being seen from these places (C,) with these yaws (C,)."""
-    seen, variances = past.seen[:, place], past.variances[:, place]  # (F, C, n, 3)
-    yaw = np.broadcast_to((psi + past.turned[:, None])[..., None], seen.shape[:-1])
-    agreement = views.log_seen(config.detector, seen, yaw, variances, past.sets[:, None, None])
-    agreement[:, np.arange(len(place)), place] = 0.0
-    return np.asarray(agreement.sum((0, 2)))
+class _Tried(NamedTuple):
+    """Every hit of every yaw's place, one after the other."""
+
+    by: Index  # (T,) the yaw, of C
+    hit: Index  # (T,)
+    off: Array  # (T,) rad times cos(elevation) by which the azimuths differ
+
+    @staticmethod
+    def of(hits: _Hits, place: Index, psi: Array) -> "_Tried":
+        counts = hits.first[place + 1] - hits.first[place]
+        by = np.repeat(np.arange(len(place)), counts)
+        hit = np.arange(len(by)) + np.repeat(hits.first[place] - (np.cumsum(counts) - counts), counts)
+        off = psi[by] - hits.yaw[hit]
+        off -= 2 * np.pi * np.rint(off / (2 * np.pi))
+        return _Tried(by, hit, off * hits.lever[hit])
 
 
-def _refined(past: _Past, place: Index, psi: Array) -> Array:
+def _score(config: AgentConfig, scene: _Scene, hits: _Hits, place: Index, psi: Array, frames: list[int]) -> Array:
+    """(C,) nats: how well the sets of these frames agree with these yaws (C,) at these places (C,)."""
+    F, n = scene.seen.shape[:2]
+    tried = _Tried.of(hits, place, psi)
+    square = hits.square[tried.hit] + tried.off**2 / hits.variance[tried.hit]
+    density = np.exp(-0.5 * square) * hits.peak[tried.hit]
+    agreement = np.bincount(tried.by * (F * n) + hits.term[tried.hit], density, len(place) * F * n).reshape(-1, F, n)
+    yaw = np.broadcast_to((psi[:, None] + scene.turned[frames])[..., None], (len(place), len(frames), n))
+    seen = scene.seen[np.array(frames)[None, :], place[:, None]]
+    P_D = views.detection_probability(config.detector, seen, yaw).copy()
+    P_D[np.arange(len(place)), :, place] = 0.0
+    return np.asarray(np.log(1 - P_D + P_D * agreement[:, frames]).sum((1, 2)))
+
+
+def _refined(hits: _Hits, place: Index, psi: Array) -> Array:
     """(C,) these yaws, corrected by the mean of what the matching detections say."""
-    seen = past.seen[:, place]
-    yaw = np.broadcast_to((psi + past.turned[:, None])[..., None], seen.shape[:-1])
-    nu = views.residuals(seen, yaw, past.sets[:, None, None])
-    matches = nu.square(past.variances[:, place]) < MATCHES
-    matches[:, np.arange(len(place)), place] = False
-    correction = np.where(matches, nu.azimuth, 0.0).sum((0, 2, 3))
-    return np.asarray(psi - correction / np.maximum(matches.sum((0, 2, 3)), 1))
+    tried = _Tried.of(hits, place, psi)
+    matches = hits.square[tried.hit] + tried.off**2 / hits.variance[tried.hit] < MATCHES
+    by, off = tried.by[matches], tried.off[matches]
+    count = np.bincount(by, minlength=len(place))
+    return np.asarray(psi - np.bincount(by, off, len(place)) / np.maximum(count, 1))
 
 
-def _best_of_each(place: Array, psi: Array, score: Array, places: int) -> list[int]:
+def _best_of_each(place: Index, psi: Array, score: Array, places: int) -> list[int]:
     """The best few distinct yaws of every place."""
     kept: list[int] = []
-    count = [0] * places
-    for k in np.argsort(-score, kind="stable"):
-        same = (i for i in kept if place[i] == place[k] and abs(float(wrap(psi[i] - psi[k]))) < 0.05)
-        if count[place[k]] < YAWS and next(same, None) is None:
-            kept.append(int(k))
-            count[place[k]] += 1
+    order = np.argsort(-score, kind="stable")
+    for each in range(places):
+        left = order[place[order] == each]
+        for _ in range(YAWS):
+            if not len(left):
+                break
+            kept.append(int(left[0]))
+            left = left[np.abs(wrap(psi[left] - psi[left[0]])) >= SAME_YAW_RAD]
     return kept
 
 

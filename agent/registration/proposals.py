@@ -72,7 +72,7 @@ def _extended(
     first = len(bases)
     unary = field[first:, :first].sum(1) - PLACING_COSTS
     chosen, scores = _beam(found.mav, unary, field[first:, first:], missing)
-    yield 0.5 * float(BEAM * len(found.mav))
+    yield 0.7 * float(BEAM * len(found.mav))
     keep = (scores > scores[0] - WITHIN).nonzero()[0][:most]
     return [_proposal(base, nodes, field, float(scores[h]), chosen[h][chosen[h] >= 0] + first) for h in keep]
 
@@ -94,7 +94,7 @@ def _field(config: AgentConfig, frames: list[Frame], nodes: Candidates) -> Gener
     mav, C = nodes.mav, len(nodes.mav)
     lines = nodes.poses[None, :, :3] - nodes.poses[:, None, :3]
     variances = _variances(config, nodes, lines)
-    yield 2.0 * C * C
+    yield 3.0 * C * C
     field, weight = np.zeros((C, C)), np.zeros((C, C))
     recent = [f for f in frames if f.heard.any()][-FIELD_FRAMES:]
     for frame in recent:
@@ -106,7 +106,7 @@ def _field(config: AgentConfig, frames: list[Frame], nodes: Candidates) -> Gener
             sets = frame.spherical[mav[some]][:, None]
             field[some] += views.log_seen(detector, spherical, yaw, variances[some], sets)
             weight[some] += 1.0
-            yield 1000.0 + 0.5 * spherical[..., 0].size * sets.shape[2]
+            yield 1000.0 + 0.2 * spherical[..., 0].size * sets.shape[2]
     field /= np.maximum(weight, 1.0)
     field += field.T
     field[np.linalg.norm(lines, axis=-1) < TOO_CLOSE_M] += TOO_CLOSE

@@ -45,6 +45,7 @@ def situation(
     """
     mavs = len(team)
     states, reasons = np.full(mavs, SEARCHING, np.uint8), [""] * mavs
+    relative: Array | None = None
     for j in range(mavs):
         if team[j]:
             states[j] = LOCALISED
@@ -55,7 +56,8 @@ def situation(
         elif hypotheses is None or verdict is None:
             reasons[j] = "looking for a place that its sightings and those of it agree on"
         else:
-            states[j], reasons[j] = _of(j, hypotheses, verdict, saturated, ids)
+            relative = hypotheses.relative() if relative is None else relative
+            states[j], reasons[j] = _of(j, hypotheses, relative, verdict, saturated, ids)
     if hypotheses is None or verdict is None:
         return Situation(states, tuple(reasons), np.zeros(0), np.zeros((0, mavs), bool), np.zeros((0, mavs, 4)))
     weights = _weights(hypotheses, verdict.leader)
@@ -65,7 +67,9 @@ def situation(
     return Situation(states, tuple(reasons), weights[order] / weights[order].sum(), placed, poses)
 
 
-def _of(j: int, hypotheses: Hypotheses, verdict: Verdict, saturated: Mask | None, ids: list[int]) -> tuple[int, str]:
+def _of(
+    j: int, hypotheses: Hypotheses, relative: Array, verdict: Verdict, saturated: Mask | None, ids: list[int]
+) -> tuple[int, str]:
     leader, ticks = verdict.leader, verdict.ticks
     if not hypotheses.bank.placed[leader, j]:
         return SEARCHING, "no place found that its sightings and those of it agree on"
@@ -74,7 +78,7 @@ def _of(j: int, hypotheses: Hypotheses, verdict: Verdict, saturated: Mask | None
         if not hypotheses.bank.placed[rival, j]:
             return AMBIGUOUS, f"one place fits, or none, after {ticks} ticks"
         words = f"two placements fit equally well after {int(verdict.common[rival])} ticks"
-        other = _exchanged(j, rival, hypotheses, leader)
+        other = _exchanged(j, relative[leader], relative[rival], hypotheses.bank.placed[leader])
         if other is None:
             return AMBIGUOUS, f"{words}; a motion of its own would tell them apart"
         return AMBIGUOUS, f"{words}, it and MAV {ids[other]} may be exchanged; a change of height by either would tell"
@@ -91,10 +95,9 @@ def _of(j: int, hypotheses: Hypotheses, verdict: Verdict, saturated: Mask | None
     return SEARCHING, f"one placement leads after {ticks} ticks, it is being tested against exchanges of identity"
 
 
-def _exchanged(j: int, rival: int, hypotheses: Hypotheses, leader: int) -> int | None:
-    """On whose place (in the leading hypothesis) the rival puts j."""
-    relative, placed = hypotheses.relative(), hypotheses.bank.placed[leader]
-    apart = np.linalg.norm(relative[leader, :, :3] - relative[rival, j, :3], axis=-1)
+def _exchanged(j: int, leader: Array, rival: Array, placed: Mask) -> int | None:
+    """On whose place (in the leading hypothesis) the rival puts j, both (N, 4) relative to the station."""
+    apart = np.linalg.norm(leader[:, :3] - rival[j, :3], axis=-1)
     if apart[j] <= SAME_M:  # it is its yaw that is in question
         return None
     apart[~placed] = np.inf

@@ -46,7 +46,8 @@ class Commit(NamedTuple):
 
 
 class Challenged(NamedTuple):
-    name: int  # of the hypothesis
+    """When a hypothesis was last tested against exchanges of identity, and how that went."""
+
     tick: int
     saturated: Mask  # (N,) of whom more rivals are near than could be tested
 
@@ -72,11 +73,11 @@ class Registrar:
     def _restart(self) -> None:
         self._hypotheses: Hypotheses | None = None
         self._verdict: Verdict | None = None
-        self._challenged: Challenged | None = None
+        self._challenged: dict[int, Challenged] = {}  # by name of the hypothesis, while it is in the bank
         self._job: Job | None = None
         self._round_at: int | None = None
         self._names = self._rounds = 0
-        self._fruitless = 0  # challenges since the leader last changed
+        self._fruitless = 0  # challenges since one led that had not been challenged before
 
     def tick(self, tick: int, odometry: dict[int, Array], sets: dict[int, Array]) -> Frame:
         """Begins a tick with what was heard of it, by index; the station's own odometry is among it."""
@@ -103,7 +104,8 @@ class Registrar:
         silent = np.zeros(self._mavs)
         for frame in self._window.frames:
             silent = np.where(frame.heard, 0, silent + 1)
-        saturated = self._challenged.saturated if self._challenged and self._holds(CHALLENGE_TICKS) else None
+        challenged = self._lately(CHALLENGE_TICKS)
+        saturated = None if challenged is None else challenged.saturated
         ticks = len(self._window.frames)
         return situation(self._hypotheses, self._verdict, saturated, team, silent, ticks, ids)
 
@@ -116,8 +118,9 @@ class Registrar:
             self._restart()
             return None
         self._drop_those_against(team)
-        spent, slices = 0.0, 0
-        while spent < self._budget or slices < LEAST_SLICES:
+        # Where challenges have decided nothing, there is no hurry.
+        spent, slices, budget = 0.0, 0, self._budget / min(max(self._fruitless, 1), MOST_PATIENT)
+        while spent < budget or slices < LEAST_SLICES:
             slices += 1
             self._job = self._job or self._next_job()
             if self._job is None:
@@ -169,9 +172,10 @@ class Registrar:
         verdict, missing = self._verdict, ~self._team.placed
         patience = min(2**self._fruitless, MOST_PATIENT)
         if verdict is not None:
-            due = (verdict.clear & missing).any() and not self._holds(CHALLENGE_HOLDS_TICKS)
-            rivalled = (verdict.rivalled & verdict.fitting & missing).any()
-            if due or (rivalled and not self._holds(CHALLENGE_TICKS * patience)):
+            due = (verdict.clear & missing).any() and self._lately(CHALLENGE_HOLDS_TICKS) is None
+            unfit = not verdict.fitting.any()  # its places may be right, and its names wrong
+            rivalled = unfit or (verdict.rivalled & verdict.fitting & missing).any()
+            if due or (rivalled and self._lately(CHALLENGE_TICKS * (1 if unfit else patience)) is None):
                 return self._test(verdict)
         unplaced = verdict is None or (verdict.ticks >= LEAST_TICKS and (~verdict.fitting & ~self._settled()).any())
         pause = HASTY_ROUND_TICKS if unplaced else ROUND_TICKS * patience
@@ -208,10 +212,13 @@ class Registrar:
     def _test(self, verdict: Verdict) -> Job:
         """Tests the leader against those who would exchange identities on its places."""
         assert self._hypotheses is not None
-        name, past = int(self._hypotheses.names[verdict.leader]), self._past(places.FRAMES)
+        name, past = (
+            int(self._hypotheses.names[verdict.leader]),
+            self._past(min(places.FRAMES << self._fruitless, WINDOW)),
+        )
         found = yield from challenge(self._config, self._hypotheses, verdict.leader, past, self._team.placed)
         yield from self._add(found.rivals, past[-1])
-        self._challenged = Challenged(name, self._done, found.saturated)
+        self._challenged[name] = Challenged(self._done, found.saturated)
         self._fruitless += 1
 
     def _add(self, placements: list[Placement], newest: Frame) -> Job:
@@ -236,27 +243,27 @@ class Registrar:
     def _keep(self, hypotheses: Hypotheses) -> None:
         """Keeps the leader, for every MAV the best that places it elsewhere, then the best of the rest."""
         kept = hypotheses.worth(self._capacity, ~self._team.placed)
-        before = self._verdict and self._hypotheses and int(self._hypotheses.names[self._verdict.leader])
         self._hypotheses = hypotheses if len(kept) == len(hypotheses) else hypotheses.of(kept)
         self._verdict = judge(self._hypotheses, self._config.detector.P_D)
-        if before != int(self._hypotheses.names[self._verdict.leader]):
+        names = self._hypotheses.names.tolist()
+        self._challenged = {name: each for name, each in self._challenged.items() if name in names}
+        if names[self._verdict.leader] not in self._challenged:
             self._fruitless = 0
 
-    def _holds(self, ticks: int) -> bool:
-        """Whether the leader was challenged in so many last ticks."""
-        if self._verdict is None or self._hypotheses is None or self._challenged is None:
-            return False
-        same = self._challenged.name == int(self._hypotheses.names[self._verdict.leader])
-        return same and self._done - self._challenged.tick <= ticks
+    def _lately(self, ticks: int) -> Challenged | None:
+        """How the leader's challenge went, if there was one in so many last ticks."""
+        if self._verdict is None or self._hypotheses is None:
+            return None
+        challenged = self._challenged.get(int(self._hypotheses.names[self._verdict.leader]))
+        return challenged if challenged is not None and self._done - challenged.tick <= ticks else None
 
     def _commit(self) -> Commit | None:
-        verdict = self._verdict
-        if not self._holds(CHALLENGE_HOLDS_TICKS) or verdict is None or self._hypotheses is None:
+        verdict, challenged = self._verdict, self._lately(CHALLENGE_HOLDS_TICKS)
+        if challenged is None or verdict is None or self._hypotheses is None:
             return None
-        assert self._challenged is not None
-        ready = verdict.clear & ~self._team.placed & ~self._challenged.saturated
+        ready = verdict.clear & ~self._team.placed & ~challenged.saturated
         # While one that has a place may stand elsewhere, what is seen of it would be taken for its neighbours.
-        ambiguous = (verdict.rivalled | self._challenged.saturated) & ~self._team.placed
+        ambiguous = (verdict.rivalled | challenged.saturated) & ~self._team.placed
         if not ready.any() or not verdict.fitting[0] or ambiguous.any():
             return None
         lead = self._hypotheses.bank.of([verdict.leader])

@@ -9,7 +9,7 @@ from agent.registration.window import Frame, Window, carried
 
 TICKS = 5  # over which a new hypothesis is replayed
 FIRST_ITERATIONS = 2  # of Gauss-Newton on the first frame, from the wide prior of a placement
-CALL, STEP = 7000.0, 4.0  # cost of the filter's step: at all; per hypothesis, station, target and detection
+CALL, STEP = 5000.0, 4.0  # cost of the filter's step: at all; per hypothesis, station, target and detection
 
 
 def cost(hypotheses: Hypotheses, frame: Frame) -> float:

@@ -2,7 +2,9 @@
 
 Two hypotheses that are *both exactly true*, as in a regular circle, differ by a random walk of a few nats a tick, so
 the margin that a leader must have over its rivals grows with the root of the time: 12 nats are the odds e^12 once the
-noise of the ratio is paid for. A start that can be decided gains linearly, tens of nats a tick.
+noise of the ratio is paid for. A start that can be decided gains linearly, tens of nats a tick; perhaps not in every
+tick, where what tells the two apart is seldom seen: what speaks against the leader is taken for noise in full, what
+speaks for it by half.
 """
 
 import math
@@ -12,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from agent.interface.frames import Array
-from agent.registration.hypotheses import LEAST_SIGMA, MARGIN, PER_SIGMA, Hypotheses
+from agent.registration.hypotheses import LEAST_SIGMA, MARGIN, PER_SIGMA, PER_SPREAD, Hypotheses
 
 LEAST_TICKS = 4
 Mask = npt.NDArray[np.bool_]
@@ -35,7 +37,8 @@ def judge(hypotheses: Hypotheses, P_D: float) -> Verdict:
     leader = int(hypotheses.recent().argmax())
     lead = hypotheses.lead(leader)
     least = LEAST_SIGMA * math.sqrt(max(hypotheses.bank.placed.shape[1], 7) / 7)  # more MAVs, more unknowns a tick
-    excess = lead.nats - (MARGIN + PER_SIGMA * np.maximum(lead.spread, least) * np.sqrt(lead.ticks))
+    noise = np.maximum(PER_SIGMA * np.maximum(lead.against, least), PER_SPREAD * lead.spread)
+    excess = lead.nats - (MARGIN + noise * np.sqrt(lead.ticks))
     against = np.where(hypotheses.elsewhere()[leader], excess[:, None], np.inf)  # (K, N)
     against[leader] = np.inf
     margin, rival = against.min(0), against.argmin(0)
