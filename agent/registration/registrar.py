@@ -104,7 +104,7 @@ class Registrar:
         silent = np.zeros(self._mavs)
         for frame in self._window.frames:
             silent = np.where(frame.heard, 0, silent + 1)
-        challenged = self._lately(CHALLENGE_TICKS)
+        challenged = self._lately(WINDOW)
         saturated = None if challenged is None else challenged.saturated
         ticks = len(self._window.frames)
         return situation(self._hypotheses, self._verdict, saturated, team, silent, ticks, ids)
