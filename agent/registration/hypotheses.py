@@ -12,8 +12,8 @@ from agent.registration.bank import Bank, Explained
 
 WINDOW = 40  # ticks over which evidence is summed
 MEMORY = 0.95  # per tick: of how well detections are explained
-MARGIN, LEAST_SIGMA = 12.0, 3.0  # nats, and standard deviation of a tick of the ratio's random walk, at least
-PER_SIGMA, PER_SPREAD = 6.0, 3.0  # standard deviations of what speaks against the leader, and of everything
+MARGIN, PER_SIGMA, LEAST_SIGMA = 12.0, 6.0, 3.0  # nats, and standard deviations of the ratio's random walk
+UNTOLD = 5.0  # nats: a tick with fewer tells two hypotheses apart by chance only
 HOPELESS = 3.0  # margins
 SAME_M, SAME_RAD = 0.3, 0.12  # two poses relative to the station within these are one place
 Mask = npt.NDArray[np.bool_]
@@ -128,14 +128,18 @@ class Hypotheses:
     def lead(self, leader: int) -> "Lead":
         """Of the leader over every hypothesis, in the ticks that the two have in common."""
         D = self.evidence[leader] - self.evidence
-        ticks = np.isfinite(D).sum(1)
-        # From the differences of successive ticks: their variance is that of the noise, whatever the trend.
-        change = np.diff(D, axis=1)
-        spread = np.sqrt(np.nansum(change**2, axis=1) / np.maximum(2 * (ticks - 1), 1))
-        # What speaks against the leader alone: of equals it is half of the noise; but where a rival is wrong in what is
-        # seldom seen, most of the spread is evidence for the leader.
-        against = np.sqrt(2 * np.nansum(np.minimum(D, 0) ** 2, axis=1) / np.maximum(ticks, 1))
-        return Lead(np.nansum(D, axis=1), spread, against, ticks)
+        return Lead(np.nansum(D, axis=1), np.array([_walk(each) for each in D]), np.isfinite(D).sum(1))
+
+
+def _walk(D: Array) -> float:
+    """Standard deviation of a sum of nats (T,) by chance.
+
+    From the differences of successive ticks: their variance is that of the noise, whatever the trend. A tick in which
+    what tells the two apart was not heard says nothing, of the noise neither.
+    """
+    telling = D[np.abs(D) > UNTOLD]  # NaN compares false
+    n = len(telling)
+    return float(np.sqrt((np.diff(telling) ** 2).sum() * n / (2 * (n - 1)))) if n > 1 else 0.0
 
 
 _PARTS = ("names", "evidence", "track", "expected", "explained", "square", "events")  # by hypothesis, beside the bank
@@ -143,8 +147,7 @@ _PARTS = ("names", "evidence", "track", "expected", "explained", "square", "even
 
 class Lead(NamedTuple):
     nats: Array  # (K,)
-    spread: Array  # (K,) standard deviation of a tick's nats
-    against: Array  # (K,) the same, by the ticks that speak against the leader
+    walk: Array  # (K,) their standard deviation by chance
     ticks: npt.NDArray[np.intp]  # (K,)
 
 

@@ -22,7 +22,7 @@ FIELD_FRAMES = 4  # over which the field is taken
 PLACING_COSTS = 4.0  # nats a frame that a placement must be worth: clutter, too, finds some agreement
 TOO_CLOSE_M, TOO_CLOSE = 0.25, -1000.0  # two MAVs cannot be in one place
 BEAM = 300
-WITHIN = 60.0  # nats of the best
+WITHIN, CONTESTED = 60.0, 10.0  # nats a frame of the best: what is looked at, what is nearly as good
 BRANCHES = 4  # of the best placements, how many are completed
 WEAK = 0.5  # of the median agreement: a MAV below is looked for again
 
@@ -33,9 +33,14 @@ class Proposal(NamedTuple):
     agreement: Array  # (N,) nats a frame that each MAV's placement shares in
 
 
+class Proposed(NamedTuple):
+    placements: list[Placement]  # best first
+    contested: bool  # so many are nearly as good as the best that the truth may be any of them, or none
+
+
 def propose(
     config: AgentConfig, frames: list[Frame], base: Placement, missing: list[int], most: int
-) -> Generator[float, None, list[Placement]]:
+) -> Generator[float, None, Proposed]:
     """The best joint placements (at most `most`, best first) that add MAVs in `missing` to those of `base`.
 
     A MAV that the station did not see, and was not seen by, often enough has no candidate, or wrong ones only. So the
@@ -54,7 +59,8 @@ def propose(
             without = proposal.score - float((agreement[weak] - PLACING_COSTS).sum())
             every += [m._replace(score=without + m.score) for m in more if m.score > 0]
     every.sort(key=lambda each: -each.score)
-    return [proposal.placement for proposal in every[:most]]
+    contested = sum(each.score > every[0].score - CONTESTED for each in every) > 1 + most // 2
+    return Proposed([proposal.placement for proposal in every[:most]], contested)
 
 
 def _extended(

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from agent.interface.frames import Array
 from agent.interface.messages import AMBIGUOUS, LOCALISED, MAX_HYPOTHESES, SEARCHING
-from agent.registration.hypotheses import SAME_M, Hypotheses
+from agent.registration.hypotheses import LEAST_SIGMA, SAME_M, Hypotheses
 from agent.registration.verdict import LEAST_TICKS, Verdict
 
 Mask = npt.NDArray[np.bool_]
@@ -109,5 +109,5 @@ def _exchanged(j: int, leader: Array, rival: Array, placed: Mask) -> int | None:
 def _weights(hypotheses: Hypotheses, leader: int) -> Array:
     """Tempered by the random walk of the scores: raw ones look certain where nothing can be decided."""
     score, lead = hypotheses.recent(), hypotheses.lead(leader)
-    walk = float((lead.spread * np.sqrt(lead.ticks)).max())
+    walk = float(np.maximum(lead.walk, LEAST_SIGMA * np.sqrt(lead.ticks)).max())
     return np.asarray(np.maximum(np.exp((score - score.max()) / (1 + walk)), 1e-9))

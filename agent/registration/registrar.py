@@ -24,11 +24,12 @@ from agent.registration.verdict import LEAST_TICKS, Verdict, judge
 from agent.registration.window import Frame, Window
 
 PROPOSAL_FRAMES = 8
+WIDER = 3  # times as many placements are looked at, where many fit
 LEAST_SLICES = 2  # a tick, however little work it may do: a replay has to gain on the time that goes by
 TOGETHER = 8  # hypotheses that are replayed at once
 HASTY_ROUND_TICKS = 3  # between rounds of proposals while some MAV has no place that fits
-ROUND_TICKS, CHALLENGE_TICKS = 20, 4  # between rounds, and challenges of one leader, that change nothing: at first
-MOST_PATIENT = 4  # times as long, after some that were fruitless
+ROUND_TICKS, MOST_PATIENT = 20, 4  # between rounds that change nothing, at first; later so many times as long
+CHALLENGE_TICKS, LAZY_CHALLENGE_TICKS = 4, 8  # between challenges of one leader: at first, and after fruitless ones
 CHALLENGE_HOLDS_TICKS = 5
 PATIENCE_TICKS = 3  # how long a tick waits for late data
 SILENT_TICKS = 10  # after which a MAV is not waited for
@@ -77,7 +78,8 @@ class Registrar:
         self._job: Job | None = None
         self._round_at: int | None = None
         self._names = self._rounds = 0
-        self._fruitless = 0  # challenges since one led that had not been challenged before
+        self._contested = False  # in the last round
+        self._fruitless = 0  # challenges since one led that had not been challenged before, or none did fit
 
     def tick(self, tick: int, odometry: dict[int, Array], sets: dict[int, Array]) -> Frame:
         """Begins a tick with what was heard of it, by index; the station's own odometry is among it."""
@@ -170,15 +172,15 @@ class Registrar:
         if len(self._past(LEAST_TICKS)) < LEAST_TICKS:
             return None
         verdict, missing = self._verdict, ~self._team.placed
-        patience = min(2**self._fruitless, MOST_PATIENT)
         if verdict is not None:
             due = (verdict.clear & missing).any() and self._lately(CHALLENGE_HOLDS_TICKS) is None
             unfit = not verdict.fitting.any()  # its places may be right, and its names wrong
             rivalled = unfit or (verdict.rivalled & verdict.fitting & missing).any()
-            if due or (rivalled and self._lately(CHALLENGE_TICKS * (1 if unfit else patience)) is None):
+            pause = LAZY_CHALLENGE_TICKS if self._fruitless > 1 else CHALLENGE_TICKS
+            if due or (rivalled and self._lately(pause) is None):
                 return self._test(verdict)
         unplaced = verdict is None or (verdict.ticks >= LEAST_TICKS and (~verdict.fitting & ~self._settled()).any())
-        pause = HASTY_ROUND_TICKS if unplaced else ROUND_TICKS * patience
+        pause = HASTY_ROUND_TICKS if unplaced or self._wide() else ROUND_TICKS * min(2**self._fruitless, MOST_PATIENT)
         if self._round_at is None or self._done - self._round_at >= pause:
             self._round_at, self._rounds = self._done, self._rounds + 1
             return self._round(verdict if unplaced and self._rounds % 2 == 0 else None)
@@ -189,9 +191,16 @@ class Registrar:
         past = self._past(PROPOSAL_FRAMES)
         base = self._base(verdict, past[-1])
         missing = [int(j) for j in np.flatnonzero(~base.placed)]
-        found = yield from propose(self._config, past, base, missing, self._capacity)
-        found = [each for each in found if each.placed.sum() > base.placed.sum() and each.placed[0]]
+        wide = self._wide()
+        proposed = yield from propose(self._config, past, base, missing, self._capacity * (WIDER if wide else 1))
+        self._contested = proposed.contested and not wide
+        found = [each for each in proposed.placements if each.placed.sum() > base.placed.sum() and each.placed[0]]
         yield from self._add([seen_from_station(each, past[-1]) for each in found], past[-1])
+
+    def _wide(self) -> bool:
+        """Whether to look once more, and wider: so many placements fit, but not for symmetry, as far as one knows."""
+        challenged = self._lately(WINDOW)
+        return self._contested and not (challenged is not None and challenged.saturated.all())
 
     def _settled(self) -> Mask:
         """(N,) who is not in question: the team, but not the station as long as it is alone."""
@@ -244,11 +253,13 @@ class Registrar:
         """Keeps the leader, for every MAV the best that places it elsewhere, then the best of the rest."""
         kept = hypotheses.worth(self._capacity, ~self._team.placed)
         self._hypotheses = hypotheses if len(kept) == len(hypotheses) else hypotheses.of(kept)
-        self._verdict = judge(self._hypotheses, self._config.detector.P_D)
+        before, self._verdict = self._verdict, judge(self._hypotheses, self._config.detector.P_D)
+        if before is not None and before.fitting.any() and not self._verdict.fitting.any():
+            self._job, self._challenged = None, {}  # what was begun in other circumstances is of no use
         names = self._hypotheses.names.tolist()
         self._challenged = {name: each for name, each in self._challenged.items() if name in names}
-        if names[self._verdict.leader] not in self._challenged:
-            self._fruitless = 0
+        if names[self._verdict.leader] not in self._challenged or not self._verdict.fitting.any():
+            self._fruitless = 0  # something has changed
 
     def _lately(self, ticks: int) -> Challenged | None:
         """How the leader's challenge went, if there was one in so many last ticks."""

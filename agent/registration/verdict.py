@@ -2,9 +2,9 @@
 
 Two hypotheses that are *both exactly true*, as in a regular circle, differ by a random walk of a few nats a tick, so
 the margin that a leader must have over its rivals grows with the root of the time: 12 nats are the odds e^12 once the
-noise of the ratio is paid for. A start that can be decided gains linearly, tens of nats a tick; perhaps not in every
-tick, where what tells the two apart is seldom seen: what speaks against the leader is taken for noise in full, what
-speaks for it by half.
+noise of the ratio is paid for. A start that can be decided gains linearly, tens of nats a tick. Where it is fewer, as
+in a circle that is but centimetres from regular, the truth may not have been thought of yet, and hypotheses that are
+all wrong differ just as much: there the leader has to last.
 """
 
 import math
@@ -14,9 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from agent.interface.frames import Array
-from agent.registration.hypotheses import LEAST_SIGMA, MARGIN, PER_SIGMA, PER_SPREAD, Hypotheses
+from agent.registration.hypotheses import LEAST_SIGMA, MARGIN, PER_SIGMA, Hypotheses
 
 LEAST_TICKS = 4
+STRONG, LASTING_TICKS = 3.5, 25  # nats a tick and MAV of the team by which it must lead, or so long it must have lasted
 Mask = npt.NDArray[np.bool_]
 
 
@@ -37,12 +38,14 @@ def judge(hypotheses: Hypotheses, P_D: float) -> Verdict:
     leader = int(hypotheses.recent().argmax())
     lead = hypotheses.lead(leader)
     least = LEAST_SIGMA * math.sqrt(max(hypotheses.bank.placed.shape[1], 7) / 7)  # more MAVs, more unknowns a tick
-    noise = np.maximum(PER_SIGMA * np.maximum(lead.against, least), PER_SPREAD * lead.spread)
-    excess = lead.nats - (MARGIN + noise * np.sqrt(lead.ticks))
+    n = int(lead.ticks[leader])
+    excess = lead.nats - (MARGIN + PER_SIGMA * np.maximum(lead.walk, least * np.sqrt(lead.ticks)))
+    if n < LASTING_TICKS:
+        excess = np.minimum(excess, lead.nats - STRONG * hypotheses.bank.placed.shape[1] * lead.ticks)
     against = np.where(hypotheses.elsewhere()[leader], excess[:, None], np.inf)  # (K, N)
     against[leader] = np.inf
     margin, rival = against.min(0), against.argmin(0)
-    placed, n = hypotheses.bank.placed[leader], int(lead.ticks[leader])
+    placed = hypotheses.bank.placed[leader]
     fitting, shares = _fit(hypotheses, leader, P_D)
     fitting &= placed & _residuals_fit(hypotheses, leader)
     clear = fitting & (margin > 0) & (n >= LEAST_TICKS)

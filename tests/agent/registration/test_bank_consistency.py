@@ -32,7 +32,7 @@ def nees(seed, odometry=None, mavs=4, ticks=20):
     reading = heard(flown[7])[0]
     station = alone(reading[0], mavs)
     base = placement(true_poses(flown[7]), np.arange(mavs) == 0)
-    first = finished(propose(AgentConfig(), early.frames, base, list(range(1, mavs)), 8))[0][0]
+    first = finished(propose(AgentConfig(), early.frames, base, list(range(1, mavs)), 8))[0].placements[0]
     window = window_of(flown)
     bank = begin([first], station, window.frames[7], window.frames[0])
     sight = Filter(believed, mavs, RATE_HZ)

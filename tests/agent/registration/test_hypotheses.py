@@ -120,16 +120,26 @@ def test_the_lead_counts_the_ticks_that_two_have_in_common():
 
 @pytest.mark.statistical
 @pytest.mark.parametrize("trend", [0.0, 5.0, -20.0])
-def test_the_spread_is_that_of_the_noise_whatever_the_trend(trend):
+def test_the_walk_is_that_of_the_noise_whatever_the_trend(trend):
     """Of a lead that grows ever faster: by `trend` more every tick."""
     rng = np.random.default_rng(9)
-    spreads = []
+    walks = []
     for _ in range(100):
-        evidence = rng.normal(100, 3, (2, WINDOW)) / np.sqrt(2)
-        spreads.append(recorded(np.zeros((2, 1, 4)), evidence).lead(0).spread[1])
-        with_trend = evidence + [[0.0], [1.0]] * np.arange(WINDOW) * trend / WINDOW
-        spreads.append(recorded(np.zeros((2, 1, 4)), with_trend).lead(0).spread[1])
-    assert np.mean(spreads) == pytest.approx(3, rel=0.05)
+        evidence = rng.normal(100, 3, (2, WINDOW)) / np.sqrt(2) + [[40.0], [0.0]]
+        walks.append(recorded(np.zeros((2, 1, 4)), evidence).lead(0).walk[1])
+        with_trend = evidence - [[0.0], [1.0]] * np.arange(WINDOW) * abs(trend) / WINDOW
+        walks.append(recorded(np.zeros((2, 1, 4)), with_trend).lead(0).walk[1])
+    assert np.mean(walks) == pytest.approx(3 * np.sqrt(WINDOW), rel=0.05)
+
+
+@pytest.mark.statistical
+def test_ticks_that_tell_nothing_are_not_taken_for_noise():
+    """Every third tick is worth 50 nats, give or take three; in the others nothing was heard."""
+    rng = np.random.default_rng(10)
+    D = np.where(np.arange(WINDOW) % 3 == 0, rng.normal(50, 3, WINDOW), rng.normal(0, 0.5, WINDOW))
+    telling = (WINDOW + 2) // 3
+    walk = recorded(np.zeros((2, 1, 4)), np.stack([D, np.zeros(WINDOW)])).lead(0).walk[1]
+    assert 0.5 * 3 * np.sqrt(telling) < walk < 2 * 3 * np.sqrt(telling)
 
 
 def test_what_was_earned_in_which_ticks():

@@ -29,7 +29,7 @@ def proposed(ticks, station=1, base=None, most=8, config=CONFIG):
     mavs = len(ticks[0].truth)
     base = placement(true_poses(ticks[-1], station), np.arange(mavs) == 0) if base is None else base
     missing = [j for j in range(mavs) if not base.placed[j]]
-    return finished(propose(config, window_of(ticks, station).frames, base, missing, most))[0]
+    return finished(propose(config, window_of(ticks, station).frames, base, missing, most))[0].placements
 
 
 def is_true(found, truth):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from agent.registration.hypotheses import WINDOW
-from agent.registration.verdict import LEAST_TICKS, judge
+from agent.registration.verdict import LASTING_TICKS, LEAST_TICKS, STRONG, judge
 from tests.agent.registration.beginning import recorded
 
 P_D = 0.9
@@ -17,10 +17,12 @@ def two(evidence):
     return recorded(poses, evidence)
 
 
-@pytest.mark.parametrize("ticks", [4, 9, 16, 36])
+@pytest.mark.parametrize("ticks", [4, 9, 16, 25, 36])
 def test_the_margin_grows_with_the_root_of_the_ticks(ticks):
-    """12 nats, and six standard deviations of a walk of at least 3 nats a tick."""
+    """12 nats, and six standard deviations of a walk of at least 3 nats a tick; at first in proportion to them."""
     least = 12 + 6 * 3 * np.sqrt(ticks)
+    if ticks < LASTING_TICKS:
+        least = max(least, STRONG * 2 * ticks)
     for lead, clear in ((0.99 * least, False), (1.01 * least, True)):
         verdict = judge(two(np.array([[lead / ticks], [0.0]]) * np.ones(ticks)), P_D)
         assert verdict.leader == 0
