@@ -241,3 +241,34 @@ def test_with_everybody_localised_there_is_nothing_to_do():
     for k in range(own.commits[-1][0] + 1, 20):
         assert own.hear(k, *heard(ticks[k])) is None
     assert own.registrar.situation([1, 2, 3, 4, 5], own.team.placed).reasons == ("",) * 5
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize("seed", range(4))
+def test_a_circle_two_centimetres_from_regular_is_decided_in_seconds_and_rightly(seed):
+    """Five ticks do not tell the exchanges of identity apart; those of some seconds do."""
+    rng = np.random.default_rng([18, seed])
+    angle = 2 * np.pi * np.arange(5) / 5
+    places = 1.35 * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle]) + rng.normal(0, 0.02, (5, 3))
+    ticks = list(teams.fly(rng, 5, 60, lambda t: places))
+    own = registered(ticks)
+    assert own.team.placed.all()
+    assert rightly(own, ticks)
+
+
+def test_hypotheses_that_place_one_of_the_team_elsewhere_are_dropped():
+    """In a regular circle any exchange may be; once MAV 1 is in the team, he is where he is in all that is left."""
+    mavs, ticks = 5, regular_circle(19, 5, 30)
+    registrar, P = Registrar(AgentConfig(), mavs, 10.0), np.diag(np.tile([1e-4, 1e-4, 1e-4, 1e-5], mavs))
+
+    def places_of_1(k, placed):
+        registrar.tick(k, *heard(ticks[k]))
+        truth = true_poses(ticks[k])
+        registrar.work_on(Team(np.vstack([truth, np.zeros(4)]), P, np.arange(mavs) < placed))
+        found = registrar.situation(list(range(1, mavs + 1)), np.arange(mavs) < placed)
+        return np.linalg.norm(found.poses[found.placed[:, 1], 1, :3] - truth[1, :3], axis=1)
+
+    apart = [places_of_1(k, 1) for k in range(20)][-1]
+    assert apart.max() > 0.5
+    apart = places_of_1(20, 2)
+    assert apart.max(initial=0) < 0.3
