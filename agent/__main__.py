@@ -2,15 +2,18 @@
 
 import logging
 import sys
+from collections.abc import Callable
 
 from agent import config
 from agent.agent import Agent
 from agent.interface import process
-from agent.interface.bus import BusError, ZenohBus
+from agent.interface.bus import Bus, BusError, ZenohBus
+from agent.interface.process import Start
 from agent.interface.tables import BadExperiment
 
 
-def main() -> int:
+def main(wrapped: Callable[[ZenohBus, Start], Bus] = lambda bus, _: bus) -> int:
+    """Flies one MAV; `wrapped` gives the bus that it uses, from its own."""
     process.stop_on_signals()
     try:
         start = process.arguments("agent")
@@ -20,7 +23,7 @@ def main() -> int:
         return 2
     try:
         with ZenohBus(start.network) as bus:
-            agent = Agent(chosen, start.fleet, start.mav, start.epoch, bus)
+            agent = Agent(chosen, start.fleet, start.mav, start.epoch, wrapped(bus, start))
             process.meet(bus, start.everyone, start.epoch)
             agent.run()
     except BusError as error:

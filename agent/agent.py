@@ -2,7 +2,7 @@
 
 A tick opens with the MAV's own VIO reading and detection set, which are sent to the peers as they are (raw data, never
 estimates, so nothing is counted twice). It closes when every peer's data of the same time is here: in lockstep however
-long that takes, in real time after a short wait.
+long that takes, unless the bus says that nothing more will come, in real time after a short wait.
 """
 
 from collections.abc import Iterable
@@ -59,15 +59,22 @@ class Agent:
             if self._open_ns is None:
                 self._receive(self._sensors.wait(None))
             elif self._patience_s is None:
-                self._receive(self._air.wait(None))
+                packets = self._air.wait(None)
+                self._receive(packets)
+                if not packets:
+                    self.advance(all_here=True)
             else:
                 self._receive(self._air.wait(max(0.0, self._deadline_s - clock.now_s())))
 
-    def advance(self) -> None:
-        """Takes in what has arrived and does all that can be done now."""
+    def advance(self, all_here: bool = False) -> None:
+        """Takes in what has arrived and does all that can be done now.
+
+        Args:
+            all_here: nothing more will come for the open tick.
+        """
         self._receive(self._sensors.drain())
         self._receive(self._air.drain())
-        while self._open_next() or self._close():
+        while self._open_next() or self._close(all_here):
             pass
         if self._open_ns is None and self._ended_ns is not None and not self.done:
             self._publish_status(self._ended_ns, 0, (), final=True)
@@ -116,12 +123,14 @@ class Agent:
         self._deadline_s = clock.now_s() + (self._patience_s or 0.0)
         return True
 
-    def _close(self) -> bool:
-        """Estimates the open tick if its data is complete, or its time is up."""
+    def _close(self, all_here: bool) -> bool:
+        """Estimates the open tick if its data is complete, nothing more will come, or its time is up."""
         stamp_ns = self._open_ns
         if stamp_ns is None:
             return False
-        if not self._neighbours.complete(stamp_ns) and (self._patience_s is None or clock.now_s() < self._deadline_s):
+        if not (all_here or self._neighbours.complete(stamp_ns)) and (
+            self._patience_s is None or clock.now_s() < self._deadline_s
+        ):
             return False
         self._open_ns = None
         tick = self._neighbours.take(stamp_ns)

@@ -12,7 +12,9 @@ import msgspec
 from agent.interface.fleet import Fleet
 from agent.interface.sensors import Detector, Odometry
 from agent.interface.tables import BadExperiment, parse_table
+from deploy import faults
 from deploy.bundled import FOLDER, bundled
+from deploy.faults import Faults
 
 TABLES = ("world", "agent", "fleet", "faults")
 RECORD = "record"  # in a resolved file: what it was made from and with; ignored by every program
@@ -25,6 +27,7 @@ class Experiment(NamedTuple):
     world: dict[str, Any]
     agent: dict[str, Any]
     fleet: Fleet
+    faults: Faults
 
     def toml(self) -> str:
         """The resolved file: accepted as an experiment again, and then gives the same estimates."""
@@ -35,7 +38,10 @@ class Experiment(NamedTuple):
             "seed": self.fleet.seed,
             "versions": {"python": platform.python_version()} | {name: _version(name) for name in VERSIONS},
         }
-        tables = {"fleet": msgspec.to_builtins(self.fleet), "agent": self.agent, "world": self.world, RECORD: record}
+        tables = {"fleet": msgspec.to_builtins(self.fleet), "agent": self.agent, "world": self.world}
+        if disturbed := msgspec.to_builtins(self.faults):
+            tables["faults"] = disturbed
+        tables[RECORD] = record
         return f"# {self.name}, as resolved for a run\n{tomli_w.dumps(tables)}"
 
 
@@ -45,7 +51,7 @@ def load(
     """The experiment with `PATH=VALUE` changes applied; not yet checked by the programs that read its tables.
 
     Raises:
-        BadExperiment: no such experiment, not TOML, unknown table, a change that cannot be made, a bad [fleet].
+        BadExperiment: no such experiment, not TOML, unknown table, an impossible change, a bad [fleet] or [faults].
     """
     name, tables = _read(source)
     for change in changes:
@@ -71,10 +77,9 @@ def from_text(resolved: str) -> Experiment:
 
 
 def _resolve(name: str, tables: dict[str, Any]) -> Experiment:
-    if tables.get("faults"):
-        raise BadExperiment(f"faults: not yet supported (found {', '.join(sorted(tables['faults']))})")
     world, agent = tables.get("world", {}), tables.get("agent", {})
-    return Experiment(name, world, _inherit(world, agent), parse_table(Fleet, tables.get("fleet", {}), "fleet"))
+    fleet = parse_table(Fleet, tables.get("fleet", {}), "fleet")
+    return Experiment(name, world, _inherit(world, agent), fleet, faults.parse(tables.get("faults", {}), fleet))
 
 
 def _read(source: str) -> tuple[str, dict[str, Any]]:

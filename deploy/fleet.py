@@ -9,7 +9,7 @@ from typing import Literal
 from agent.interface.bus import Network
 from agent.interface.fleet import Fleet
 
-HIDDEN_FROM_AGENTS = ("truth/**",)
+HIDDEN_FROM_AGENTS = ("truth/**", "fault/**")
 
 
 @dataclass(frozen=True)
@@ -22,13 +22,14 @@ class Process:
     reports: bool = False  # its standard output is progress (JSON lines); everything else it says goes to its log
 
 
-def processes(fleet: Fleet, run: Path, sockets: Path, epoch: int) -> tuple[Process, ...]:
+def processes(fleet: Fleet, run: Path, sockets: Path, epoch: int, impaired: bool = False) -> tuple[Process, ...]:
     """The table of a run; writes each one's network file into `sockets`.
 
     Args:
         run: the run folder, with experiment.toml in it.
         sockets: a directory with a short path, for a unix socket's is limited to some 108 characters.
         epoch: the number of the run.
+        impaired: whether there are faults in the experiment: then the agents' buses are wrapped.
     """
     names = ("recorder", "world", *(f"mav_{mav}" for mav in fleet.ids))
     places = {name: f"unixsock-stream/{sockets}/{name}" for name in names}
@@ -48,11 +49,12 @@ def processes(fleet: Fleet, run: Path, sockets: Path, epoch: int) -> tuple[Proce
         start = (str(run / "experiment.toml"), "--network", network, "--epoch", str(epoch))
         return (sys.executable, "-m", module, *start, *more)
 
+    agent = "deploy.impaired_agent" if impaired else "agent"
     return (
         Process("recorder", command("deploy.recorder", "recorder"), ends="when told", reports=True),
         Process("world", command("world", "world"), ends="by itself"),
         *(
-            Process(f"mav_{mav}", command("agent", f"mav_{mav}", "--mav", str(mav)), ends="by itself")
+            Process(f"mav_{mav}", command(agent, f"mav_{mav}", "--mav", str(mav)), ends="by itself")
             for mav in fleet.ids
         ),
     )

@@ -20,29 +20,9 @@ from mcap.writer import CompressionType, Writer
 
 from agent.interface import clock, messages, topics
 from agent.interface.bus import Packet
+from deploy.peek import Peek
 
 CHUNK_BYTES = 256 * 1024
-
-
-class Peek(msgspec.Struct, array_like=True, frozen=True, gc=False):
-    """The header fields alone: msgspec skips what follows, so that recording does not decode."""
-
-    version: int
-    epoch: int
-    sender: int
-    seq: int
-    stamp_ns: int
-
-
-_peek = msgspec.msgpack.Decoder(Peek)
-
-
-def peek(payload: bytes) -> Peek | None:
-    """The header of a message without a look at the rest; None if there is none."""
-    try:
-        return _peek.decode(payload)
-    except (msgspec.ValidationError, msgspec.DecodeError, RecursionError):
-        return None
 
 
 class Origin(NamedTuple):

@@ -49,14 +49,34 @@ def odometry_origins(true_poses: Array, odometry: Array) -> Array:
     return np.where(both.any(axis=0)[:, None], origins, np.nan)
 
 
+def origins_of_lives(true_poses: Array, odometry: Array, incarnations: npt.NDArray[np.int64]) -> Array:
+    """(K, N, 4) the same, where who is started anew has an odometry frame of its own: incarnations (K, N)."""
+    origins = np.full(true_poses.shape, np.nan)
+    for incarnation in np.unique(incarnations):
+        mine = incarnations == incarnation
+        origins[mine] = np.broadcast_to(
+            odometry_origins(true_poses, np.where(mine[..., None], odometry, np.nan)), origins.shape
+        )[mine]
+    return origins
+
+
 def absolute_from_world(origins: Array, poses_world: Array) -> Array:
-    """(K, N, N, 4) poses (K, N, 4) of all MAVs as seen from where each one's odometry began (N, 4)."""
-    return relative_pose(origins[None, :, None, :], poses_world[:, None, :, :])
+    """(K, N, N, 4) poses (K, N, 4) of all MAVs as seen from where each one's odometry began, (N, 4) or (K, N, 4)."""
+    return relative_pose(origins[..., :, None, :], poses_world[:, None, :, :])
 
 
 def naive_absolute(origins: Array, odometry: Array) -> Array:
     """(K, N, N, 4) the baseline: the known initial configuration, and each MAV's odometry (K, N, 4) since."""
-    return absolute_from_world(origins, compose(origins[None], odometry))
+    return absolute_from_world(origins, compose(origins, odometry))
+
+
+def dead_reckoned(true_relative: Array, odometry: Array, since: npt.NDArray[np.int64]) -> Array:
+    """(K, N, N, 4) the true pose of j in the body of i at tick `since` (K, N, N), moved on by the odometry of both."""
+    i, j = np.indices(since.shape[1:])
+    now = np.arange(len(since))[:, None, None]
+    moved_i = relative_pose(odometry[since, i], odometry[now, i])
+    moved_j = relative_pose(odometry[since, j], odometry[now, j])
+    return relative_pose(moved_i, compose(true_relative[since, i, j], moved_j))
 
 
 def relative_from_absolute(absolute: Array) -> Array:
@@ -77,8 +97,8 @@ def errors(estimated: Array, true: Array) -> Errors:
 
 
 def settled(since_s: Array, time_s: Array) -> Mask:
-    """(K, N, N) the pairs and ticks that are scored, from `commits.localised_since`."""
-    return np.asarray(time_s[:, None, None] >= since_s[None] + SETTLING_S - 1e-9)
+    """(K, N, N) the pairs and ticks that are scored, from when j was called localised, (N, N) or (K, N, N)."""
+    return np.asarray(time_s[:, None, None] >= since_s + SETTLING_S - 1e-9)
 
 
 def score(error: Errors, scored: Mask, time_s: Array) -> Score:

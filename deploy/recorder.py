@@ -14,7 +14,8 @@ import msgspec
 from agent.interface import clock, messages
 from agent.interface.bus import BusError, Inbox, Packet, ZenohBus
 from agent.interface.process import Start, arguments, meet, stop_on_signals
-from deploy.log import LogWriter, Origin, peek
+from deploy.log import LogWriter, Origin
+from deploy.peek import peek
 from deploy.progress import Watch
 
 PAUSE_S = 0.01  # between looks into the inbox: a few hundred messages at most

@@ -18,6 +18,7 @@ from agent.interface.messages import floats, read_spherical
 
 UPPER = np.triu_indices(4)
 UNKNOWN = 255  # no estimate of that tick
+GONE = -1  # no incarnation: killed, stopped or not yet there
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,20 @@ class Beliefs(NamedTuple):
         return relative_pose(self.starts[:, :, None], self.estimates)
 
 
+class Arrival(NamedTuple):
+    """What reached an agent from a peer."""
+
+    sender: int  # MAV number
+    topic: str  # one of messages.AIR
+    tick: int  # at which it was measured
+
+
+class ProcessFault(NamedTuple):
+    tick: int  # before which it happened
+    mav: int  # MAV number
+    do: str
+
+
 @dataclass(frozen=True)
 class Recording:
     fleet: Fleet
@@ -67,6 +82,11 @@ class Recording:
     surveys: dict[int, Survey]  # by MAV number
     registrations: dict[int, messages.Registration]  # the last one of each agent that sent any, by MAV number
     statuses: dict[int, messages.Status]  # the last one of each sender; 0 is the world
+    former_statuses: list[messages.Status]  # the last ones of processes that were started anew afterwards
+    incarnations: npt.NDArray[np.int64]  # (K, N) how often each MAV has been started anew; GONE: it does not take part
+    arrivals: dict[tuple[int, int], list[Arrival]]  # (tick, MAV number) -> in order; empty if no fault was injected
+    dropped: npt.NDArray[np.int64]  # (N, N) how many packets to i from j the faults lost
+    process_faults: list[ProcessFault]
     rejected: dict[str, int] = field(default_factory=dict)  # packets that are not messages of the run, by reason
 
     @property
@@ -114,6 +134,11 @@ class _Builder:
         self.surveys: dict[int, Survey] = {}
         self.registrations: dict[int, messages.Registration] = {}
         self.statuses: dict[int, messages.Status] = {}
+        self.former_statuses: list[messages.Status] = []
+        self.rolls: dict[int, messages.Roll] = {}  # by the tick from which on it holds
+        self.arrivals: dict[tuple[int, int], list[Arrival]] = {}
+        self.dropped = np.zeros((N, N), np.int64)
+        self.process_faults: list[ProcessFault] = []
         self.rejected: dict[str, int] = {}
 
     def add(self, packet: Packet) -> None:
@@ -158,12 +183,31 @@ class _Builder:
             case messages.Registration():
                 self._expect(len(message.reasons) == N, f"a registration of {len(message.reasons)} MAVs")
                 before = self.registrations.get(mav)
-                if before is None or message.seq > before.seq:
+                if before is None or (message.stamp_ns, message.seq) > (before.stamp_ns, before.seq):
                     self.registrations[mav] = message
+            case messages.Roll():
+                self._expect(all(each in self.fleet.ids for each in message.mavs), f"a roll of {list(message.mavs)}")
+                self.rolls[k] = message
+            case messages.Arrivals():
+                self._add_arrivals(message, k, mav)
+            case messages.ProcessFault():
+                self.process_faults.append(ProcessFault(k, mav, message.do))
+
+    def _add_arrivals(self, message: messages.Arrivals, k: int, mav: int) -> None:
+        self._expect(len(message.dropped) == self.fleet.mavs, f"arrivals from {len(message.dropped)} MAVs")
+        self._expect(all(sender in self.fleet.ids for sender in message.senders), "arrivals from other MAVs")
+        self.dropped[mav - 1] += message.dropped
+        stamps_ns = np.frombuffer(message.stamps, "<i8").tolist()
+        self.arrivals[k, mav] = [
+            Arrival(sender, messages.AIR[topic], self._tick(stamp_ns))
+            for sender, topic, stamp_ns in zip(message.senders, message.topics, stamps_ns, strict=True)
+        ]
 
     def _add_status(self, status: messages.Status) -> None:
         before = self.statuses.get(status.sender)
-        if before is None or status.seq > before.seq:
+        if before is not None and before.stamp_ns < status.stamp_ns and before.seq >= status.seq:
+            self.former_statuses.append(before)  # it counts from zero again
+        if before is None or (status.stamp_ns, status.seq) > (before.stamp_ns, before.seq):
             self.statuses[status.sender] = status
         if status.sender in self.fleet.ids and not status.final:
             self.tick_us[self._tick(status.stamp_ns), status.sender - 1] = status.tick_us
@@ -178,6 +222,13 @@ class _Builder:
     def _expect(self, holds: bool, found: str) -> None:
         if not holds:
             raise messages.Rejected("unexpected", found)
+
+    def _incarnations(self) -> npt.NDArray[np.int64]:
+        found = np.zeros((self.fleet.ticks + 1, self.fleet.mavs), np.int64)
+        for k, roll in sorted(self.rolls.items()):
+            found[k:] = GONE
+            found[k:, [mav - 1 for mav in roll.mavs]] = roll.incarnations
+        return found
 
     def reject(self, reason: str) -> None:
         self.rejected[reason] = self.rejected.get(reason, 0) + 1
@@ -200,5 +251,10 @@ class _Builder:
             surveys=self.surveys,
             registrations=self.registrations,
             statuses=self.statuses,
+            former_statuses=self.former_statuses,
+            incarnations=self._incarnations()[:K],
+            arrivals=self.arrivals,
+            dropped=self.dropped,
+            process_faults=sorted(self.process_faults),
             rejected=self.rejected,
         )

@@ -14,12 +14,14 @@ from agent.interface.bus import Packet
 from agent.interface.tables import BadExperiment
 from deploy import fleet, supervisor
 from deploy.experiment import Experiment, from_text
-from deploy.log import BadLog, LogWriter, Origin, peek, read_log
+from deploy.log import BadLog, LogWriter, Origin, read_log
+from deploy.peek import peek
 from deploy.progress import Progress, Watch
 from deploy.supervisor import Outcome
 from deploy.terminal import Display
 
 PROGRESS_S = 0.5
+EPOCHS = range(2**30, 2**31)  # the messages of all runs are of the same length, which a bandwidth limit is about
 
 
 class Result(NamedTuple):
@@ -51,7 +53,7 @@ def run(experiment: Experiment, folder: Path, in_process: bool, display: Display
     """Flies a checked experiment into an empty or new folder; whatever was recorded is scored, however it ended."""
     (folder / "logs").mkdir(parents=True)
     (folder / "experiment.toml").write_text(experiment.toml())
-    epoch = secrets.randbelow(2**31)
+    epoch = secrets.choice(EPOCHS)
     with display:
         outcome = (_in_process if in_process else _processes)(experiment, folder, epoch, display)
     display.say("scoring")
@@ -79,7 +81,7 @@ def score(folder: Path) -> dict[str, Any]:
     if not recording.ticks:
         raise NothingRecorded(f"{folder / 'log.mcap'}: no tick of the run was recorded")
     twin = replay(recording, experiment.agent)
-    analysis = summary.analyse(recording, twin)
+    analysis = summary.analyse(recording, twin, experiment.faults)
     circumstances = summary.Circumstances(experiment.name, log.origin.transport, log.wall_s)
     content = summary.summarise(analysis, circumstances)
     (folder / "summary.json").write_text(summary.to_json(content))
@@ -93,7 +95,8 @@ def _processes(experiment: Experiment, folder: Path, epoch: int, display: Displa
         display.show(msgspec.json.decode(line, type=Progress))
 
     with tempfile.TemporaryDirectory(prefix="swarm-") as sockets:
-        table = fleet.processes(experiment.fleet, folder.resolve(), Path(sockets), epoch)
+        impaired = experiment.faults.present
+        table = fleet.processes(experiment.fleet, folder.resolve(), Path(sockets), epoch, impaired)
         return supervisor.run(table, folder / "logs", show)
 
 

@@ -109,15 +109,16 @@ def run_one(job: Job) -> dict[str, Any]:
     from deploy.clairvoyant import replay
     from deploy.composition import fly
     from deploy.recording import assemble
+    from deploy.run import EPOCHS
 
     experiment = load(job.source, job.changes, job.seed)
     packets: list[Packet] = []
     began_s = clock.now_s()
-    fly(experiment, 1, packets.extend)
+    fly(experiment, EPOCHS[0], packets.extend)
     wall_s = clock.now_s() - began_s
-    recording = assemble(packets, experiment.fleet, 1)
+    recording = assemble(packets, experiment.fleet, EPOCHS[0])
     twin = replay(recording, experiment.agent)
-    analysis = summary.analyse(recording, twin)
+    analysis = summary.analyse(recording, twin, experiment.faults)
     content = summary.summarise(analysis, summary.Circumstances(experiment.name, "memory", wall_s))
     return content | {"grid": job.grid}
 

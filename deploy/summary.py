@@ -9,10 +9,13 @@ import numpy as np
 from agent.interface.frames import Array
 from agent.interface.messages import LOCALISED, STATES, floats
 from deploy import commits, metrics
+from deploy.faults import Faults
 from deploy.metrics import Errors, Mask, Score
+from deploy.pairs import Pairs, first_of_spell, late_starts, localised_since, pairs_of
 from deploy.recording import Beliefs, Recording
 
 WORLD = 0  # sender of the world's status
+NONE = Faults()
 
 
 class Course(NamedTuple):
@@ -35,31 +38,55 @@ class Analysis(NamedTuple):
     naive: Course
     clairvoyant: Course
     nees: Array  # (K, N, N)
+    faults: Faults
+    since_s: Array  # (K, N, N) since when i has called j localised, in the present lives of both
+    across: dict[str, Score]  # relative errors of pairs that a fault keeps apart; naive: dead reckoning from the cut
 
 
-def analyse(recording: Recording, twin: Beliefs) -> Analysis:
+def analyse(recording: Recording, twin: Beliefs, faults: Faults = NONE) -> Analysis:
     """Errors of the recording's estimates, of the naive baseline and of the clairvoyant twin."""
     true_poses, time_s = recording.true_poses, recording.time_s
-    origins = metrics.odometry_origins(true_poses, recording.odometry)
+    origins = metrics.origins_of_lives(true_poses, recording.odometry, recording.incarnations)
     true_absolute = metrics.absolute_from_world(origins, true_poses)
     true_relative = metrics.relative_from_absolute(true_absolute)
+    pairs = pairs_of(recording.incarnations, faults, time_s)
 
     def course(absolute: Array, since_s: Array) -> Course:
         relative = metrics.errors(metrics.relative_from_absolute(absolute), true_relative)
-        known, scored = time_s[:, None, None] >= since_s, metrics.settled(since_s, time_s)
-        return Course(relative, metrics.errors(absolute, true_absolute), known, scored)
+        known = (time_s[:, None, None] >= since_s) & pairs.alive
+        return Course(
+            relative, metrics.errors(absolute, true_absolute), known, metrics.settled(since_s, time_s) & pairs.again
+        )
 
-    def believed(beliefs: Beliefs) -> Course:
-        return course(beliefs.absolute, commits.localised_since(beliefs.states, time_s))
+    def since(beliefs: Beliefs) -> Array:
+        return localised_since(beliefs.states, recording.incarnations, time_s)
 
-    ours, always = recording.beliefs, np.full(recording.beliefs.states.shape[1:], -np.inf)
+    always = np.full(recording.beliefs.states.shape[1:], -np.inf)
+    courses = {
+        "ours": course(recording.beliefs.absolute, since(recording.beliefs)),
+        "clairvoyant": course(twin.absolute, since(twin)),
+        "naive": course(metrics.naive_absolute(origins, recording.odometry), always),
+    }
     return Analysis(
         recording=recording,
-        ours=believed(ours),
-        naive=course(metrics.naive_absolute(origins, recording.odometry), always),
-        clairvoyant=believed(twin),
-        nees=metrics.nees(ours.estimates, recording.covariances, true_relative),
+        **courses,
+        nees=metrics.nees(recording.beliefs.estimates, recording.covariances, true_relative),
+        faults=faults,
+        since_s=since(recording.beliefs),
+        across=_across(recording, pairs, courses, true_relative),
     )
+
+
+def _across(recording: Recording, pairs: Pairs, courses: dict[str, Course], true_relative: Array) -> dict[str, Score]:
+    """Of those pairs that had settled when they were cut off from each other; the same ones for all."""
+    if not pairs.cut_off.any():
+        return {}
+    began = first_of_spell(pairs.cut_off)
+    i, j = np.indices(began.shape[1:])
+    scored = pairs.cut_off & courses["ours"].scored[np.maximum(began - 1, 0), i, j]
+    reckoned = metrics.errors(metrics.dead_reckoned(true_relative, recording.odometry, began), true_relative)
+    errors = {name: course.relative for name, course in courses.items()} | {"naive": reckoned}
+    return {name: metrics.score(error, scored, recording.time_s) for name, error in errors.items()}
 
 
 class Circumstances(NamedTuple):
@@ -96,9 +123,11 @@ def summarise(analysis: Analysis, circumstances: Circumstances) -> dict[str, Any
         "nis_inside": metrics.nis_inside(recording.innovations),
         "disagreement_m": metrics.disagreement_m(recording.beliefs.estimates, recording.beliefs.states),
         "registration": _registration(analysis),
+        "across_cuts": {name: score._asdict() for name, score in analysis.across.items()} or None,
         "estimator_ms": _estimator_ms(recording),
         "network": _network(recording, sim_s),
         "mavs": _mavs(analysis),
+        "late_starts": [each._asdict() for each in late_starts(recording, analysis.since_s)],
     }
     strict: dict[str, Any] = _strict(summary)
     return strict
@@ -126,13 +155,14 @@ def _estimator_ms(recording: Recording) -> dict[str, float]:
 
 def _network(recording: Recording, sim_s: float) -> dict[str, Any]:
     """Sums over the agents' last words (the world's are not counted)."""
-    agents = [status for sender, status in recording.statuses.items() if sender != WORLD]
+    last = [status for sender, status in recording.statuses.items() if sender != WORLD]
+    agents = [*last, *(status for status in recording.former_statuses if status.sender != WORLD)]
     sums = {
         name: sum(getattr(status, name) for status in agents)
         for name in ("sent", "received", "rejected", "late", "duplicate")
     }
-    rate = sum(status.sent_bytes for status in agents) / len(agents) / sim_s if agents and sim_s else math.nan
-    return {**sums, "dropped_by_faults": 0, "bytes_per_agent_s": rate}
+    rate = sum(status.sent_bytes for status in agents) / len(last) / sim_s if agents and sim_s else math.nan
+    return {**sums, "dropped_by_faults": int(recording.dropped.sum()), "bytes_per_agent_s": rate}
 
 
 def _mavs(analysis: Analysis) -> list[dict[str, Any]]:
@@ -153,7 +183,7 @@ def _mavs(analysis: Analysis) -> list[dict[str, Any]]:
                 "hypotheses": None if registration is None else len(floats(registration.weights)),
                 "localised_at_s": float(at_s[mav - 1]),
                 "wrong_commits": int(wrong[mav - 1]),
-                "restarts": 0,
+                "restarts": sum(fault.mav == mav and fault.do == "restart" for fault in recording.process_faults),
             }
         )
     return content

@@ -7,11 +7,11 @@ import msgspec
 import numpy as np
 
 from agent.interface.fleet import Fleet
-from agent.interface.frames import Array, compose, inverse, rotation_matrix
+from agent.interface.frames import Array, compose, inverse, rotate_z, rotation_matrix
 from agent.interface.seeds import generator
 from agent.interface.tables import BadExperiment
 from world.clearance import CLEARANCE_M, are_apart, drawn_until
-from world.poses import Poses, multiply, quaternion_of
+from world.poses import Poses, multiply, quaternion_of, turn_z
 from world.tracks import MAX_GAP_S, Track, poses_at, read_track, without_placeholders
 
 
@@ -78,6 +78,14 @@ class RecordedFlights:
     def vio(self) -> Poses:
         """In each MAV's odometry frame."""
         return Poses(self._vio.position[self._tick], self._vio.quaternion[self._tick])
+
+    def begin_odometry(self, mav: int) -> None:
+        """A VIO that begins anew here goes on as the recorded one does, from zero and no yaw."""
+        i, rest = mav - 1, slice(self._tick, None)
+        begin = self.vio.level[i]
+        position, quaternion = self._vio.position[rest, i], self._vio.quaternion[rest, i]
+        self._vio.position[rest, i] = rotate_z(-begin[3], position - begin[:3])
+        self._vio.quaternion[rest, i] = turn_z(np.full(len(position), -begin[3]), quaternion)
 
     def step(self) -> None:
         self._tick += 1

@@ -38,6 +38,9 @@ class SimulatedFlight:
         """In each MAV's odometry frame."""
         return self._vio.poses
 
+    def begin_odometry(self, mav: int) -> None:
+        self._vio.begin(mav - 1)
+
     def step(self) -> None:
         for _ in range(self._steps_per_tick):
             if self._steps % self._steps_per_aim == 0:

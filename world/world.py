@@ -36,6 +36,9 @@ class Motion(Protocol):
     def step(self) -> None:
         """On to the next tick."""
 
+    def begin_odometry(self, mav: int) -> None:
+        """From this tick on, the odometry frame of this MAV is where it is now."""
+
 
 class World:
     """One run. Call begin, then publish_tick and step in turn until it is finished, then end."""
@@ -56,6 +59,9 @@ class World:
             for mav in fleet.ids
         ]
         self._tick = 0
+        self._roll = dict.fromkeys(fleet.ids, 0)  # who takes part -> how often it has been started anew
+        self._started = set(self._roll.items())  # all that ever took part
+        self._rolls = 0
         self._unanswered: set[int] = set()
         self._complained: set[str] = set()
         self._answered_stamp_ns = -1
@@ -73,12 +79,33 @@ class World:
                 survey = self._survey(mav, self._config.survey)
                 self._publish(topics.key(topics.SURVEY, mav), messages.encode(survey))
 
+    def set_roll(self, roll: dict[int, int]) -> None:
+        """From the next tick to be published on, only these take part: nobody else is waited for.
+
+        One that takes part for the first time, or has been started anew since, has a new odometry frame: where it is
+        now. Everybody is told, so that who has been stopped can know later who took part meanwhile.
+
+        Args:
+            roll: by MAV, how often it has been started anew.
+        """
+        if self._tick == 0:  # nobody has begun before
+            self._started = set(roll.items())
+        for mav, _ in sorted(roll.items() - self._started):
+            self._motion.begin_odometry(mav)
+        self._started |= roll.items()
+        self._roll = dict(sorted(roll.items()))
+        header = (messages.VERSION, self._epoch, SENDER, self._rolls, self._fleet.stamp_ns(self._tick))
+        called = messages.encode(messages.Roll(*header, bytes(self._roll), tuple(self._roll.values())))
+        self._rolls += 1
+        for mav in self._fleet.ids:
+            self._publish(topics.key(topics.ROLL, mav), called)
+
     def publish_tick(self) -> None:
         """What every MAV's sensors read at this tick and, for deploy alone, what is true."""
         began_us = clock.now_us()
         tick, stamp_ns = self._tick, self._fleet.stamp_ns(self._tick)
         header = (messages.VERSION, self._epoch, SENDER, tick, stamp_ns)
-        self._unanswered, self._answered_stamp_ns = set(self._fleet.ids), stamp_ns
+        self._unanswered, self._answered_stamp_ns = set(self._roll), stamp_ns
         true, vio = self._motion.true, self._motion.vio
         for i, mav in enumerate(self._fleet.ids):
             truth_key, labels_key, vio_key, sightings_key = self._keys[i]
@@ -104,7 +131,7 @@ class World:
         self._tick_us += clock.now_us() - began_us
 
     def answered(self) -> bool:
-        """Whether every MAV has commanded something for the tick that was published last."""
+        """Whether everybody who takes part has commanded something for the tick that was published last."""
         self._receive(self._inbox.drain())
         return not self._unanswered
 

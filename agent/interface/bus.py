@@ -30,7 +30,10 @@ class Inbox(Protocol):
         """What has arrived, oldest first; empty if nothing has."""
 
     def wait(self, timeout_s: float | None) -> list[Packet]:
-        """The same, but waits for the first packet: for ever (None) or up to a limit."""
+        """The same, but waits for the first packet: for ever (None) or up to a limit.
+
+        Empty after a wait without a limit: nothing more will come before the receiver goes on.
+        """
 
 
 class Bus(Protocol):
@@ -145,23 +148,23 @@ class MemoryBus:
     Delivery is immediate and in order; as with Zenoh, a program does not hear itself.
     """
 
-    def __init__(self, network: "list[tuple[str, MemoryInbox]] | None" = None) -> None:
-        self._network = [] if network is None else network
+    def __init__(self, network: "_MemoryNetwork | None" = None) -> None:
+        self._network = _MemoryNetwork() if network is None else network
         self._own: list[MemoryInbox] = []
         self._routes: dict[str, list[MemoryInbox]] = {}
-        self._routed = 0  # how many subscriptions the routes know of
+        self._routed = 0  # which state of the network the routes are of
 
     def another(self) -> "MemoryBus":
         """The bus of one more program on the same network."""
         return MemoryBus(self._network)
 
     def publish(self, key: str, payload: bytes) -> None:
-        if self._routed != len(self._network):
-            self._routes, self._routed = {}, len(self._network)
+        if self._routed != self._network.changes:
+            self._routes, self._routed = {}, self._network.changes
         inboxes = self._routes.get(key)
         if inboxes is None:
             inboxes = self._routes[key] = [
-                inbox for pattern, inbox in self._network if inbox not in self._own and _matches(pattern, key)
+                inbox for pattern, inbox in self._network.inboxes if inbox not in self._own and _matches(pattern, key)
             ]
         for inbox in inboxes:
             inbox.packets.append(Packet(key, payload))
@@ -169,8 +172,20 @@ class MemoryBus:
     def subscribe(self, pattern: str) -> "MemoryInbox":
         inbox = MemoryInbox()
         self._own.append(inbox)
-        self._network.append((pattern, inbox))
+        self._network.inboxes.append((pattern, inbox))
+        self._network.changes += 1
         return inbox
+
+    def close(self) -> None:
+        """Nothing reaches its inboxes any more."""
+        self._network.inboxes = [(pattern, inbox) for pattern, inbox in self._network.inboxes if inbox not in self._own]
+        self._network.changes += 1
+
+
+class _MemoryNetwork:
+    def __init__(self) -> None:
+        self.inboxes: list[tuple[str, MemoryInbox]] = []  # with their patterns
+        self.changes = 0  # so many inboxes have come and gone
 
 
 class MemoryInbox:
@@ -228,18 +243,18 @@ def _config(network: Network) -> zenoh.Config:
         "adminspace": {"enabled": False},
     }
     if network.deny:
-        rule = {
-            "id": "deny",
-            "permission": "deny",
-            "flows": ["ingress", "egress"],
-            "messages": ["put", "declare_subscriber"],
-            "key_exprs": [f"{network.namespace}/{pattern}" for pattern in network.deny],
-        }
+        keys = [f"{network.namespace}/{pattern}" for pattern in network.deny]
+        # What comes in is stopped, and that this process would like to have it is not told, so that it is not sent.
+        stopped = (("put", "ingress"), ("declare_subscriber", "egress"))
+        rules = [
+            {"id": message, "permission": "deny", "flows": [flow], "messages": [message], "key_exprs": keys}
+            for message, flow in stopped
+        ]
         settings["access_control"] = {
             "enabled": True,
             "default_permission": "allow",
-            "rules": [rule],
+            "rules": rules,
             "subjects": [{"id": "anyone"}],
-            "policies": [{"rules": ["deny"], "subjects": ["anyone"]}],
+            "policies": [{"rules": [rule["id"] for rule in rules], "subjects": ["anyone"]}],
         }
     return zenoh.Config.from_json5(json.dumps(settings))

@@ -6,7 +6,7 @@ boundary: what it returns is of the right version, run, size and shape, finite a
 """
 
 import struct
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import msgspec
 import numpy as np
@@ -20,6 +20,8 @@ MAX_HYPOTHESES = 16
 MAX_REASON = 200  # characters
 SEARCHING, AMBIGUOUS, LOCALISED = range(3)
 STATES = ("searching", "ambiguous", "localised")
+AIR = ("odometry", "detections")  # what MAVs tell each other
+DEPLOY = 255  # sender of what deploy itself says
 
 
 class Rejected(Exception):
@@ -35,7 +37,7 @@ class Header(msgspec.Struct, array_like=True, frozen=True, gc=False, forbid_unkn
 
     version: int
     epoch: int  # the run: messages of another run are ignored
-    sender: int  # MAV 1..N; 0 is the world
+    sender: int  # MAV 1..N; 0 is the world, 255 is deploy
     seq: int  # counts up from 0 per sender and topic
     stamp_ns: int  # time of measurement, ns
 
@@ -172,6 +174,40 @@ class Status(Header, frozen=True):
 
 class End(Header, frozen=True):
     """The run is over: the stamp is that of the last tick."""
+
+
+class Roll(Header, frozen=True):
+    """Who takes part from the tick of the stamp on, and how often each has been started anew."""
+
+    mavs: bytes  # uint8 (M,): MAV numbers, ascending
+    incarnations: tuple[int, ...]  # (M,): 0 for one that has run from the start, or has joined
+
+    def __post_init__(self) -> None:
+        if sorted(set(self.mavs)) != list(self.mavs):
+            raise ValueError(f"mavs: {list(self.mavs)}, expected ascending numbers")
+        if len(self.incarnations) != len(self.mavs) or any(not 0 <= each < 2**31 for each in self.incarnations):
+            raise ValueError(f"incarnations: expected {len(self.mavs)} of 0 or more")
+
+
+class Arrivals(Header, frozen=True):
+    """Journal of the faults on the links to one agent: what reached it in the tick of the stamp (for deploy only)."""
+
+    senders: bytes  # uint8 (M,): MAV numbers, in the order of arrival; duplicates included
+    topics: bytes  # uint8 (M,): index into AIR
+    stamps: bytes  # int64 (M,): when each was measured, ns
+    dropped: tuple[int, ...]  # (N,) packets of each MAV that were found lost in this tick
+
+    def __post_init__(self) -> None:
+        if not len(self.senders) == len(self.topics) == len(self.stamps) / 8:
+            raise ValueError(f"topics, stamps: expected {len(self.senders)} of each")
+        if any(topic >= len(AIR) for topic in self.topics) or any(number < 0 for number in self.dropped):
+            raise ValueError(f"topics, dropped: expected indices below {len(AIR)}, and counts")
+
+
+class ProcessFault(Header, frozen=True):
+    """Journal of the faults of one agent's process, at the tick of the stamp, before it (for deploy only)."""
+
+    do: Literal["kill", "stop", "continue", "restart", "join"]
 
 
 class Truth(Header, frozen=True):

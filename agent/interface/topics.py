@@ -1,7 +1,7 @@
 """Which topics are there, who speaks on them and who listens? One row each.
 
-`air/**` is all that MAVs ever tell each other. `truth/**` is for deploy alone: the network configuration of an
-agent denies it.
+`air/**` is all that MAVs ever tell each other. `truth/**` and `fault/**` are for deploy alone: the network
+configuration of an agent denies it to hear them.
 """
 
 from dataclasses import dataclass
@@ -30,10 +30,16 @@ COMMAND = Topic("command", "command/{mav}", messages.Setpoint, "agent", "world",
 ESTIMATE = Topic("estimate", "belief/{mav}/estimate", messages.Estimate, "agent", "deploy", True)
 REGISTRATION = Topic("registration", "belief/{mav}/registration", messages.Registration, "agent", "deploy", False)
 STATUS = Topic("status", "status/{mav}", messages.Status, "agent, world (0)", "deploy", False)
+ROLL = Topic("roll", "sensor/{mav}/roll", messages.Roll, "world", "that agent's wrapper", False)
+ARRIVALS = Topic("arrivals", "fault/{mav}/arrivals", messages.Arrivals, "deploy", "deploy", False)
+PROCESS_FAULT = Topic("process fault", "fault/{mav}/process", messages.ProcessFault, "deploy", "deploy", False)
 TRUTH = Topic("truth", "truth/{mav}/pose", messages.Truth, "world", "deploy", False)
 LABELS = Topic("labels", "truth/{mav}/labels", messages.Labels, "world", "deploy", False)
 
-TOPICS = (VIO, SIGHTINGS, SURVEY, END, ODOMETRY, DETECTIONS, COMMAND, ESTIMATE, REGISTRATION, STATUS, TRUTH, LABELS)
+TOPICS = (
+    VIO, SIGHTINGS, SURVEY, END, ODOMETRY, DETECTIONS, COMMAND, ESTIMATE, REGISTRATION, STATUS,
+    ROLL, ARRIVALS, PROCESS_FAULT, TRUTH, LABELS,
+)  # fmt: skip
 
 _BY_SHAPE = {tuple(topic.key.replace("{mav}", "*").split("/")): topic for topic in TOPICS}
 

@@ -231,6 +231,28 @@ def test_in_lockstep_it_waits_for_its_peers_and_in_real_time_it_does_not():
     assert [mav for mav, _ in rig.published(m.Estimate)] == [1]
 
 
+def test_in_lockstep_a_tick_closes_without_its_peers_once_nothing_more_will_come():
+    rig = Rig()
+    rig.survey()
+    rig.sensors(of=[1])
+    rig.agents[0].advance()
+    assert not rig.published(m.Estimate)
+    rig.agents[0].advance(all_here=True)
+    assert [mav for mav, _ in rig.published(m.Estimate)] == [1]
+
+
+def test_an_agent_that_waits_goes_on_when_the_bus_says_that_nothing_more_will_come():
+    """In memory nothing ever comes while one waits."""
+    rig = Rig(ticks=2)
+    for k in range(2):
+        rig.k = k
+        rig.sensors(of=[1])
+    rig.send(topics.END, 1, m.End)
+    rig.agents[0].run()
+    assert rig.agents[0].done
+    assert len(rig.published(m.Estimate)) == 2
+
+
 def test_every_tick_is_answered_with_a_command():
     rig = Rig(ticks=4)
     rig.fly()

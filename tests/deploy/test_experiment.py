@@ -49,7 +49,8 @@ def test_an_agent_knows_its_sensors_unless_told_otherwise() -> None:
 
 
 def test_a_resolved_file_is_an_experiment_that_resolves_to_itself(tmp_path: Path) -> None:
-    first = load("line", ["world.detector.P_D=0.7"], seed=4)
+    first = load("line", ["world.detector.P_D=0.7", "faults.loss=0.3"], seed=4)
+    assert first.faults.loss == 0.3
     path = tmp_path / "anything.toml"
     path.write_text(first.toml())
     assert load(str(path)) == first == from_text(first.toml())
@@ -73,7 +74,12 @@ def test_a_resolved_file_is_an_experiment_that_resolves_to_itself(tmp_path: Path
         (["line", "--set", "agent.detector=3"], "agent.detector"),
         (["line", "--set", "world.detectr.P_D=0.5"], "world.detectr: there is no such key"),
         (["line", "--set", "world.path.1.move_s=0.1"], "world.path[1].move_s = 0.1"),
-        (["line", "--set", "faults.loss=0.3"], "faults: not yet supported (found loss)"),
+        (["line", "--set", "faults.loss=1.3"], "faults.loss = 1.3: expected a share, 0 to 1"),
+        (["line", "--set", "faults.los=0.3"], "faults.los: there is no such key"),
+        (
+            ["line", "--set", "faults.processes=[{mav=1, do='kill', at_s=1.0}]"],
+            "faults.processes: expected --in-process",
+        ),
         (["line", "--realtime", "--in-process"], "fleet.realtime = true: in one process there is no real time"),
         (["recorded_flights"], "world.flights_dir"),
     ],
@@ -125,6 +131,7 @@ def test_out_must_be_new_or_empty(tmp_path: Path, capsys: pytest.CaptureFixture[
         (["--seeds", "0:2", "--grid", "agent.detector.P_D"], "expected TABLE.KEY=VALUE,VALUE"),
         (["--seeds", "0:2", "--grid", "agent.detector.P_D=0.5,7"], "_D = 7"),
         (["--seeds", "0:2", "--grid", "fleet.seed=1,2"], "the seeds are what --seeds says"),
+        (["--seeds", "0:2", "--grid", "faults.delay_ms=0,-1"], "faults.delay_ms = -1.0: expected 0 to 60000 ms"),
         (["--seeds", "0:2", "--jobs", "0"], "--jobs 0: expected 1 or more"),
     ],
 )

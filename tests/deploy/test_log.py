@@ -11,7 +11,8 @@ import pytest
 
 from agent.interface import messages, topics
 from agent.interface.bus import Packet
-from deploy.log import BadLog, LogWriter, Origin, peek, read_log, schema_text
+from deploy.log import BadLog, LogWriter, Origin, read_log, schema_text
+from deploy.peek import peek
 from tests.deploy.conftest import registration
 
 ORIGIN = Origin(7, "memory", "[fleet]\nmavs = 2\n")
@@ -101,7 +102,8 @@ def test_what_was_flushed_survives_a_kill(tmp_path: Path) -> None:
     program = f"""
 import sys, signal
 from pathlib import Path
-from deploy.log import LogWriter, Origin, peek
+from deploy.log import LogWriter, Origin
+from deploy.peek import peek
 from tests.deploy.test_log import odometry, ORIGIN
 writer = LogWriter(Path({str(path)!r}), ORIGIN)
 for seq in range(100):

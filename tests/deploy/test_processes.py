@@ -11,6 +11,7 @@ import pytest
 
 from deploy import terminal
 from deploy.__main__ import main
+from deploy.experiment import load
 from deploy.log import read_log
 from deploy.progress import Progress
 from deploy.recording import Recording
@@ -41,6 +42,46 @@ def test_processes_give_the_same_estimates_as_one_process_to_the_last_bit(
     assert ticks_to_register[0] == ticks_to_register[1] != {}
     logs = {path.name: path.read_text() for path in (tmp_path / "run" / "logs").iterdir()}
     assert logs == dict.fromkeys(["recorder.txt", "world.txt", "mav_1.txt", "mav_2.txt", "mav_3.txt"], "")
+
+
+BAD_LINKS = ("faults.loss=0.2", "faults.delay_ms=60", "faults.jitter_ms=80", "faults.duplicates=0.1")
+
+
+def test_faults_on_the_links_are_the_same_over_the_network_and_in_one_process(tmp_path: Path) -> None:
+    """Loss, late and overtaking packets, duplicates, and a limit to what a link carries."""
+    changes = ["fleet.mavs=3", "fleet.duration_s=3", *BAD_LINKS, "faults.bandwidth_bytes_s=4000"]
+    experiment = load("cold_start", changes, seed=5)
+    found = []
+    for in_process in (True, False):
+        folder = tmp_path / f"in_process_{in_process}"
+        outcome, summary = run(experiment, folder, in_process, Quiet())
+        assert outcome == Outcome()
+        assert summary is not None
+        assert summary["network"]["dropped_by_faults"] > 50
+        found.append(recording_of(experiment, folder))
+    one, many = found
+    assert len(one.arrivals) == 3 * 30
+    assert one.arrivals == many.arrivals
+    assert one.dropped.tolist() == many.dropped.tolist()
+    for name in one.beliefs._fields:
+        assert getattr(one.beliefs, name).tobytes() == getattr(many.beliefs, name).tobytes(), name
+    assert one.covariances.tobytes() == many.covariances.tobytes()
+    for mav in (1, 2, 3):
+        for count in ("sent", "received", "rejected", "late", "duplicate"):
+            assert getattr(one.statuses[mav], count) == getattr(many.statuses[mav], count)
+
+
+def test_faults_on_the_links_in_real_time(tmp_path: Path) -> None:
+    changes = ["fleet.mavs=3", "fleet.duration_s=2", "faults.loss=0.3", "faults.delay_ms=40"]
+    experiment = load("cold_start", changes, seed=5, realtime=True)
+    outcome, summary = run(experiment, tmp_path / "run", False, Quiet())
+    assert outcome == Outcome()
+    assert summary is not None
+    recording = recording_of(experiment, tmp_path / "run")
+    arrived = [each for arrivals in recording.arrivals.values() for each in arrivals]
+    lost = recording.dropped.sum()
+    assert 0.1 < lost / (lost + len(arrived)) < 0.5
+    assert {each.topic for each in arrived} == {"odometry", "detections"}
 
 
 class Acting(Quiet):

@@ -14,7 +14,8 @@ from agent.interface.bus import Packet
 from deploy import composition, results, study
 from deploy.__main__ import main
 from deploy.experiment import Experiment, load
-from deploy.log import LogWriter, Origin, peek, read_log
+from deploy.log import LogWriter, Origin, read_log
+from deploy.peek import peek
 from deploy.recording import Recording, assemble
 from deploy.run import run
 from deploy.supervisor import Outcome
@@ -24,7 +25,7 @@ from tests.deploy.conftest import EXPERIMENT, SMALL, TICKS, Flown, registration
 SUMMARY = {
     "experiment", "seed", "mode", "transport", "agents", "ticks", "sim_s", "wall_s", "real_time_factor", "late_ticks",
     "relative", "absolute", "naive", "clairvoyant", "anees", "nis_inside", "disagreement_m", "estimator_ms", "network",
-    "registration", "mavs",
+    "registration", "across_cuts", "mavs", "late_starts",
 }  # fmt: skip
 SCORE = {"rmse_m", "rmse_deg", "final_rmse_m", "final_rmse_deg", "max_m"}
 

@@ -170,3 +170,20 @@ def test_real_flights_agree_with_their_truth(
     assert noise[:, :3].std(axis=0).max() < 0.007
     assert noise[:, 3].std() < 0.0035
     np.testing.assert_allclose(inverse(inverse(frame)), frame, atol=1e-9)
+
+
+def test_an_odometry_that_begins_anew_is_where_it_is_and_level(folder: Path) -> None:
+    flight, undisturbed = play(folder), play(folder)
+    for _ in range(10):
+        flight.step()
+        undisturbed.step()
+    begin = flight.vio.level[0]
+    flight.begin_odometry(1)
+    np.testing.assert_allclose(flight.vio.level, 0, atol=1e-12)
+    for _ in range(20):
+        flight.step()
+        undisturbed.step()
+    np.testing.assert_allclose(flight.vio.level[0], relative_pose(begin, undisturbed.vio.level[0]), atol=1e-12)
+    for mine, theirs in ((flight.vio, undisturbed.vio), (flight.true, undisturbed.true)):
+        tilts = [rotation_matrix(each.quaternion)[:, 2] for each in (mine, theirs)]
+        np.testing.assert_allclose(*tilts, atol=1e-12)

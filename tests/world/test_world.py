@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from agent.interface import clock, messages, topics
-from agent.interface.bus import MemoryBus, Packet
+from agent.interface.bus import MemoryBus, MemoryInbox, Packet
 from agent.interface.fleet import Fleet
 from agent.interface.frames import compose, inverse, range_and_bearing, relative_pose, rotation_matrix, yaw_of
 from world.config import WorldConfig, parse
@@ -306,3 +306,65 @@ def test_an_answer_that_comes_before_the_next_tick_is_in_time(monkeypatch: pytes
     world = World(config(), FLEET, EPOCH, agents.another())
     world.run_realtime()
     assert (world.late_ticks, world.received) == (0, 80)
+
+
+class TestTheRoll:
+    """Who takes part, and what becomes of those who begin anew."""
+
+    def rig(self, **more: object) -> tuple[World, MemoryBus, MemoryInbox]:
+        bus = MemoryBus()
+        heard = bus.subscribe("**")
+        return World(config(**more), FLEET, EPOCH, bus.another()), bus, heard
+
+    def test_only_those_who_take_part_are_waited_for(self) -> None:
+        world, bus, heard = self.rig()
+        world.begin()
+        world.set_roll({2: 0, 1: 0, 4: 0})
+        world.publish_tick()
+        for mav in (1, 2):
+            bus.publish(command_key(mav), answer(mav, 0))
+        assert not world.answered()
+        bus.publish(command_key(4), answer(4, 0))
+        assert world.answered()
+        said = by_topic(heard.drain())
+        assert {len(said["roll", mav]) for mav in FLEET.ids} == {1}
+        (roll,) = said["roll", 3]
+        assert (list(roll.mavs), roll.incarnations, roll.stamp_ns) == ([1, 2, 4], (0, 0, 0), 0)
+        assert len(said["vio", 3]) == 1  # its sensors go on
+        world.step()
+        world.set_roll({1: 0, 2: 0, 3: 0, 4: 1})
+        (roll,) = by_topic(heard.drain())["roll", 1]
+        assert (roll.seq, list(roll.mavs), roll.incarnations, roll.stamp_ns) == (1, [1, 2, 3, 4], (0, 0, 0, 1), 10**8)
+
+    def test_nobody_may_take_part(self) -> None:
+        world, _, _ = self.rig()
+        world.begin()
+        world.set_roll({})
+        world.publish_tick()
+        assert world.answered()
+
+    def test_who_begins_anew_or_late_has_a_new_odometry_frame_where_it_is(self) -> None:
+        exact = {"odometry": {"position_sigma_m": 0.0, "yaw_sigma_rad": 0.0}}
+        world, _, heard = self.rig(**exact)
+        world.begin()
+        rolls = {0: {1: 0, 2: 0, 3: 0}, 12: {1: 0, 3: 0}, 15: {1: 0, 2: 1, 3: 0, 4: 0}, 17: {1: 0, 2: 1, 3: 0, 4: 0}}
+        for tick in range(20):
+            if tick in rolls:
+                world.set_roll(rolls[tick])
+            world.publish_tick()
+            world.step()
+        said = by_topic(heard.drain())
+        for mav, began in ((1, 0), (2, 15), (3, 0), (4, 15)):
+            true = [_level(each) for each in said["truth", mav]]
+            read = [_level(each) for each in said["vio", mav]]
+            for tick in range(20):
+                frame = true[began if tick >= began else 0]
+                np.testing.assert_allclose(read[tick], relative_pose(frame, true[tick]), atol=1e-9)
+            tilt = rotation_matrix(messages.floats(said["vio", mav][19].quaternion))[2]
+            np.testing.assert_allclose(
+                tilt, rotation_matrix(messages.floats(said["truth", mav][19].quaternion))[2], atol=1e-9
+            )
+
+
+def _level(message: messages.Truth | messages.Vio) -> np.ndarray:
+    return np.array([*messages.floats(message.position), yaw_of(messages.floats(message.quaternion))])

@@ -50,6 +50,19 @@ def test_memory_reaches_those_who_subscribe_later():
     assert later.drain() == [Packet("a/1", b"x")]
 
 
+def test_memory_forgets_who_has_left():
+    speaker = MemoryBus()
+    gone, stays = speaker.another(), speaker.another()
+    inbox, other = gone.subscribe("a/*"), stays.subscribe("a/*")
+    speaker.publish("a/1", b"x")
+    gone.close()
+    later = speaker.another().subscribe("a/*")  # as many as before
+    speaker.publish("a/1", b"y")
+    assert [p.payload for p in inbox.drain()] == [b"x"]
+    assert [p.payload for p in other.drain()] == [b"x", b"y"]
+    assert [p.payload for p in later.drain()] == [b"y"]
+
+
 @pytest.mark.system
 def test_zenoh_delivers_everything_in_order_and_not_to_itself(sockets):
     with ZenohBus(network(sockets, "a")) as a, ZenohBus(network(sockets, "b", ["a"])) as b:
@@ -78,6 +91,24 @@ def test_truth_does_not_reach_those_who_are_denied_it(sockets):
         world.publish("sensor/1/vio", b"fair")
         assert sensor.wait(None) == [Packet("sensor/1/vio", b"fair")]
         assert truth.drain() == []
+
+
+@pytest.mark.system
+def test_who_may_not_hear_of_something_may_speak_of_it(sockets):
+    with (
+        ZenohBus(network(sockets, "recorder")) as recorder,
+        ZenohBus(network(sockets, "mav_1", ["recorder"], deny=("truth/**", "fault/**"))) as agent,
+    ):
+        everything, faults = recorder.subscribe("**"), agent.subscribe("fault/**")
+        meet(recorder, agent)
+        recorder.publish("fault/2/arrivals", b"secret")
+        agent.publish("fault/1/arrivals", b"journal")
+        agent.publish("air/1/odometry", b"last")
+        got = []
+        while len(got) < 2:
+            got += everything.wait(None)
+        assert got == [Packet("fault/1/arrivals", b"journal"), Packet("air/1/odometry", b"last")]
+        assert faults.drain() == []
 
 
 @pytest.mark.system

@@ -26,6 +26,9 @@ EXAMPLES = [
     m.Setpoint(*HEADER, bytes(24), bytes(24), bytes(24), 0.5),
     m.Status(*HEADER, 1, 2, 3, 4, 5, 6, 7, (8, 9)),
     m.End(*HEADER),
+    m.Roll(*HEADER, bytes([1, 3]), (0, 2)),
+    m.Arrivals(*HEADER, bytes([2, 2]), bytes([0, 1]), np.array([5, 7]).tobytes(), (0, 1, 0)),
+    m.ProcessFault(*HEADER, "restart"),
     m.Truth(*HEADER, 3, bytes(24), bytes(32)),
     m.Labels(*HEADER, 3, bytes([0, 2])),
 ]
@@ -123,6 +126,14 @@ WRONG_BODIES = [
     (m.Setpoint, [bytes(24), bytes(24), bytes(24), float("inf")]),
     (m.Setpoint, [bytes(24), pose(np.nan, 0, 0), bytes(24), 0.0]),
     (m.Status, [1, 2, 3, 4, 5, 6, 7, [0] * 65]),
+    (m.Roll, [bytes([3, 1]), [0, 0]]),
+    (m.Roll, [bytes([1, 1]), [0, 0]]),
+    (m.Roll, [bytes([1, 3]), [0]]),
+    (m.Roll, [bytes([1]), [-1]]),
+    (m.Arrivals, [bytes([2]), bytes([2]), bytes(8), [0]]),
+    (m.Arrivals, [bytes([2]), bytes([1]), bytes(16), [0]]),
+    (m.Arrivals, [bytes([2]), bytes([1]), bytes(8), [-1]]),
+    (m.ProcessFault, ["bless"]),
     (m.Truth, [1, pose(np.nan, 0, 0), bytes(32)]),
 ]
 

@@ -1,0 +1,19 @@
+"""`python -m deploy.impaired_agent`: the ordinary `python -m agent`, on a network with the experiment's faults."""
+
+import sys
+
+from agent.__main__ import main
+from agent.interface.bus import Bus, ZenohBus
+from agent.interface.process import Start
+from deploy import faults
+from deploy.impaired_bus import ImpairedBus
+
+
+def impaired(bus: ZenohBus, start: Start) -> Bus:
+    """The bus with the faults on the links to this MAV."""
+    table = faults.parse(start.experiment.get("faults", {}), start.fleet)
+    return ImpairedBus(bus, table, start.fleet, start.mav, start.epoch)
+
+
+if __name__ == "__main__":
+    sys.exit(main(impaired))
