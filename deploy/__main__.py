@@ -123,10 +123,14 @@ def _study(chosen: argparse.Namespace) -> int:
     folder = folder_for(f"study-{name}", chosen.out)
     done = study.run_all(wanted, min(chosen.jobs or cores, len(wanted)), terminal.counter(len(wanted)))
     if done.summaries:
-        from deploy import report, results, summary  # matplotlib: not for a mistake in the words
+        from deploy import heat_map, report, results, summary  # matplotlib: not for a mistake in the words
 
         content = study.evaluate(done.summaries, name, f"seeds {seeds[0]} to {seeds[-1]}")
-        report.draw_study(content, folder / "study.png")
+        numbers = heat_map.grid_of(content["cells"])
+        if numbers is None:
+            report.draw_study(content, folder / "study.png")
+        else:
+            heat_map.draw(content, numbers, folder / "study.png")
         for cell in content["cells"]:
             del cell["values"]  # they are in the runs
         (folder / "study.json").write_text(summary.to_json(content))

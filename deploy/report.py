@@ -1,5 +1,6 @@
-"""What does a run look like? The figures: errors over time, and a study's cells. The only module with matplotlib."""
+"""What does a run look like? The figures: errors over time, and a study's cells. Nobody but heat_map draws, too."""
 
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,9 @@ from matplotlib.figure import Figure  # not pyplot, which keeps every figure and
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from agent.interface.frames import Array
-from deploy import commits, metrics
+from deploy import commits, fault_marks, metrics
+from deploy.fault_marks import Mark, Span
+from deploy.metrics import Mask
 from deploy.summary import Analysis, Course
 
 # Okabe and Ito's colours, told apart by everyone; line styles and markers tell them apart in grey.
@@ -19,6 +22,9 @@ STYLES: dict[str, dict[str, Any]] = {
     "clairvoyant": {"color": "#000000", "linestyle": (0, (1, 1.5)), "linewidth": 1.0},  # often on top of ours
     "naive": {"color": "#D55E00", "linestyle": (0, (5, 2)), "linewidth": 1.2},
 }
+CUT_OFF = "ours, pairs cut off from each other"
+STYLES[CUT_OFF] = STYLES["ours"] | {"linestyle": (0, (5, 1, 1, 1)), "linewidth": 1.1}
+ROUNDING = 1e-9  # m, rad: no error, but a logarithm of it would be drawn
 MARKERS = {"naive": "s", "clairvoyant": "^", "ours": "o"}
 SMALL: Any = {"font.size": 8, "axes.titlesize": 9, "legend.fontsize": 8, "axes.grid": True, "grid.alpha": 0.3}
 
@@ -31,11 +37,13 @@ def draw_errors(analysis: Analysis, experiment: str, path: Path) -> None:
     with rc_context(SMALL):
         figure = Figure(figsize=(10.5, 5.6))
         axes = figure.subplots(2, 3, sharex=True)
-        figure.subplots_adjust(0.06, 0.08, 0.99, 0.88, wspace=0.25, hspace=0.16)  # a layout engine takes half a second
         for row, kind in zip(axes, ("relative", "absolute"), strict=True):
             for name, course in courses.items():
-                for axis, values in zip(row, _series(course, kind), strict=True):
+                for axis, values in zip(row, _series(course, kind, course.known), strict=True):
                     axis.plot(recording.time_s, values, label=name, **STYLES[name])
+            if analysis.ours.cut_off.any():
+                for axis, values in zip(row, _series(analysis.ours, kind, analysis.ours.cut_off), strict=True):
+                    axis.plot(recording.time_s, values, label=CUT_OFF, **STYLES[CUT_OFF])
             letter = "E_r" if kind == "relative" else "E"
             _axis(row[0], f"{kind} position", "RMSE over pairs [m]", log=kind == "relative")
             _axis(row[1], f"{kind} yaw", "RMSE over pairs [deg]", log=kind == "relative")
@@ -56,7 +64,11 @@ def draw_errors(analysis: Analysis, experiment: str, path: Path) -> None:
                 color="0.35",
             )
         handles, labels = axes[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="upper right", ncols=3, frameon=False)
+        figure.legend(handles, labels, loc="upper right", ncols=4, frameon=False)
+        lines = _faults(axes, analysis)
+        figure.text(0.01, 0.945, "\n".join(lines), va="top", fontsize=7.5, color="0.25")
+        top = 0.90 - 0.025 * len(lines) if lines else 0.88
+        figure.subplots_adjust(0.06, 0.08, 0.99, top, wspace=0.25, hspace=0.16)  # a layout engine takes half a second
         fleet = recording.fleet
         figure.suptitle(
             f"{experiment}, seed {fleet.seed}: {fleet.mavs} MAVs, {fleet.rate_hz:g} Hz", x=0.01, ha="left", fontsize=10
@@ -64,11 +76,35 @@ def draw_errors(analysis: Analysis, experiment: str, path: Path) -> None:
         figure.savefig(path, dpi=150)
 
 
-def _series(course: Course, kind: str) -> tuple[Array, Array, Array]:
-    """(K,) RMSE in m, in deg and sum of squares in m^2, of the pairs that are known: from before they are scored."""
+def _faults(axes: Any, analysis: Analysis) -> list[str]:
+    """Spans are grey, what happens to a process is a line; both are numbered. Returns lines that say what they are."""
+    recording, words = analysis.recording, []
+    everywhere = fault_marks.on_all_links(analysis.faults)
+    if everywhere:
+        words.append(f"all links: {everywhere}")
+    spans = fault_marks.spans(analysis.faults, recording.time_s[-1])
+    events: list[Span | Mark] = [*spans, *fault_marks.marks(recording)]
+    for number, event in enumerate(events, 1):
+        at_s = event.from_s if isinstance(event, Span) else event.at_s
+        until = f" to {event.until_s:g}" if isinstance(event, Span) else ""
+        words.append(f"({number}) {at_s:g}{until} s: {event.words}")
+        for axis in axes.flat:
+            if isinstance(event, Span):
+                axis.axvspan(at_s, event.until_s, color="0.85" if event.cut else "0.93", zorder=-1, linewidth=0)
+            else:
+                axis.axvline(at_s, color="#CC79A7", linewidth=0.9, linestyle=(0, (4, 1.5)), zorder=0)
+        for axis in axes[0]:
+            axis.annotate(
+                str(number), (at_s, 0.02), xycoords=("data", "axes fraction"), xytext=(2, 0),
+                textcoords="offset points", fontsize=7, color="0.25",
+            )  # fmt: skip
+    return textwrap.wrap("; ".join(words), 190, max_lines=3, placeholder=" ...")
+
+
+def _series(course: Course, kind: str, shown: Mask) -> tuple[Array, Array, Array]:
+    """(K,) RMSE in m, in deg and sum of squares in m^2, of the pairs that are shown (K, N, N)."""
     error: metrics.Errors = getattr(course, kind)
-    known = course.known
-    position, yaw = np.where(known, error.position_m, np.nan), np.where(known, error.yaw_rad, np.nan)
+    position, yaw = (np.where(shown & (each > ROUNDING), each, np.nan) for each in (error.position_m, error.yaw_rad))
     return (
         metrics.rms_over_pairs(position),
         np.rad2deg(metrics.rms_over_pairs(yaw)),

@@ -23,8 +23,9 @@ class Course(NamedTuple):
 
     relative: Errors
     absolute: Errors
-    known: Mask  # (K, N, N) from when j is called localised on
+    known: Mask  # (K, N, N) from when j is called localised on, while both are alive and connected
     scored: Mask  # (K, N, N) a little later
+    cut_off: Mask  # (K, N, N) as known, while they are alive, but not connected
 
     def scores(self, time_s: Array) -> dict[str, Score]:
         return {name: metrics.score(getattr(self, name), self.scored, time_s) for name in ("relative", "absolute")}
@@ -53,9 +54,13 @@ def analyse(recording: Recording, twin: Beliefs, faults: Faults = NONE) -> Analy
 
     def course(absolute: Array, since_s: Array) -> Course:
         relative = metrics.errors(metrics.relative_from_absolute(absolute), true_relative)
-        known = (time_s[:, None, None] >= since_s) & pairs.alive
+        known = time_s[:, None, None] >= since_s
         return Course(
-            relative, metrics.errors(absolute, true_absolute), known, metrics.settled(since_s, time_s) & pairs.again
+            relative,
+            metrics.errors(absolute, true_absolute),
+            known & pairs.alive & pairs.connected,
+            metrics.settled(since_s, time_s) & pairs.again,
+            known & pairs.cut_off,
         )
 
     def since(beliefs: Beliefs) -> Array:
