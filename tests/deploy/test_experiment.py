@@ -60,7 +60,7 @@ def test_a_resolved_file_is_an_experiment_that_resolves_to_itself(tmp_path: Path
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        (["nowhere"], "nowhere: no such experiment; bundled are cold_start, "),
+        (["nowhere"], "nowhere: no such experiment; bundled are bad_network, cold_start, "),
         (["line", "--set", "wrld.P_D=1"], "--set wrld.P_D=1: there is no table 'wrld'"),
         (["line", "--set", "fleet.mavs"], "--set fleet.mavs: expected TABLE.KEY=VALUE"),
         (["line", "--set", "mavs=3"], "--set mavs=3: expected TABLE.KEY=VALUE"),
