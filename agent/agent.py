@@ -36,7 +36,7 @@ class Agent:
         self._localiser = Localiser(config, fleet, mav)
         self._controller = Hold()
         self._inbox = Inbox(mav, fleet.mavs, epoch)
-        self._neighbours = Neighbours(fleet.mavs)
+        self._neighbours = Neighbours(fleet.mavs, fleet.rate_hz, config.lag_ticks(fleet.rate_hz))
         self._stations = [mav, *(other for other in fleet.ids if other != mav)]  # itself first
         self._vio: dict[int, vio.Levelled] = {}  # by stamp
         self._sightings: dict[int, messages.Sightings] = {}
@@ -88,11 +88,15 @@ class Agent:
             message = received.message
             match message:
                 case messages.Odometry():
-                    self._neighbours.put(message.stamp_ns, received.mav, odometry=messages.floats(message.pose))
+                    pose = messages.floats(message.pose)
+                    late = self._neighbours.put(message.stamp_ns, received.mav, odometry=pose)
+                    if late is not None:
+                        self._localiser.late(late, received.mav, odometry=pose)
                 case messages.Detections():
                     spherical = messages.read_spherical(message.spherical)
-                    if not self._neighbours.put(message.stamp_ns, received.mav, detections=spherical):
-                        self._localiser.late(self._tick(message.stamp_ns), received.mav, spherical)
+                    late = self._neighbours.put(message.stamp_ns, received.mav, detections=spherical)
+                    if late is not None:
+                        self._localiser.late(late, received.mav, spherical=spherical)
                 case messages.Vio():
                     self._vio[message.stamp_ns] = vio.read(message)
                 case messages.Sightings():
@@ -107,7 +111,9 @@ class Agent:
         """Begins the oldest tick whose VIO reading and detection set are both here, and shares them."""
         if self._open_ns is not None:
             return False
-        stamp_ns = min(self._vio.keys() & self._sightings.keys(), default=None)
+        both = self._vio.keys() & self._sightings.keys()
+        # Not what is over: a repetition, or a clock that has jumped back.
+        stamp_ns = min((stamp for stamp in both if self._neighbours.expects(stamp)), default=None)
         if stamp_ns is None:
             return False
         levelled = self._vio[stamp_ns]
@@ -128,28 +134,26 @@ class Agent:
         stamp_ns = self._open_ns
         if stamp_ns is None:
             return False
-        if not (all_here or self._neighbours.complete(stamp_ns)) and (
+        number = self._neighbours.tick_of(stamp_ns)
+        if not (all_here or self._neighbours.complete(number)) and (
             self._patience_s is None or clock.now_s() < self._deadline_s
         ):
             return False
         self._open_ns = None
-        tick = self._neighbours.take(stamp_ns)
+        tick = self._neighbours.take(number)
         began_us = clock.now_us()
         sets = [
             DetectionSet(station, tick.detections[station])
             for station in self._stations
             if station in tick.detections and station in tick.odometry
         ]
-        beliefs, situation = self._localiser.tick(self._tick(stamp_ns), tick.odometry, sets)
+        beliefs, situation = self._localiser.tick(number, tick.odometry, sets)
         tick_us = clock.now_us() - began_us
         self._publish_registration(stamp_ns, situation)
         self._publish_estimate(stamp_ns, beliefs)
         self._publish_status(stamp_ns, tick_us, (self._localiser.station_us,))
         self._publish_command(stamp_ns, tick.odometry[self._mav])
         return True
-
-    def _tick(self, stamp_ns: int) -> int:
-        return round(stamp_ns * self._fleet.rate_hz / 1e9)
 
     def _publish_registration(self, stamp_ns: int, situation: Situation | None) -> None:
         """While somebody is not localised, and once more when everybody is."""
@@ -192,7 +196,7 @@ class Agent:
             self._sent + 1,  # this one included
             self._sent_bytes,
             inbox.received,
-            inbox.rejected,
+            inbox.rejected + neighbours.unbelieved,
             neighbours.late,
             neighbours.duplicate,
             tick_us,

@@ -46,6 +46,7 @@ class AgentConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     registration: Registration = Registration()
     localised_sigma_m: float = 0.15  # a MAV is called localised below this relative position uncertainty (any axis) ...
     localised_sigma_rad: float = 0.05  # ... and this relative yaw uncertainty
+    lag_s: float = 1.0  # what comes later than this after its time is dropped; what comes sooner is applied at its time
     wait_for_peers_s: float = 0.03  # real time only: how long a tick waits for the peers' packets
 
     def __post_init__(self) -> None:
@@ -56,6 +57,12 @@ class AgentConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         ):
             if not 0 < value < 100:
                 raise ValueError(f"{name} = {value}: expected between 0 and 100 {unit}, both excluded")
+        if not 0 <= self.lag_s <= 10:
+            raise ValueError(f"lag_s = {self.lag_s}: expected 0 to 10 s")
+
+    def lag_ticks(self, rate_hz: float) -> int:
+        """The lag in ticks."""
+        return round(self.lag_s * rate_hz)
 
 
 def parse(table: dict[str, Any]) -> AgentConfig:

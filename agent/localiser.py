@@ -1,8 +1,9 @@
 """Where is everybody, from a start of which nothing is known? The registration, the filter, and who watches over it.
 
-`Registrar` finds out who is where; `Estimator` keeps it up; `Watchdog` notices when it is no longer so. Between them
-goes, tick by tick, the `Team`: whom the filter has. Indices count the MAVs from the station's point of view, itself
-first; numbers are 1..N.
+`Registrar` finds out who is where; `History`, with the filter in it, keeps it up; `Watchdog` notices when it is no
+longer so. Between them goes, tick by tick, the `Team`: whom the filter has. What is late concerns all three, each at
+its time: registration and watchdog look at a tick when all of it is there, and at the team as it was then. Indices
+count the MAVs from the station's point of view, itself first; numbers are 1..N.
 """
 
 from typing import NamedTuple
@@ -10,18 +11,16 @@ from typing import NamedTuple
 import numpy as np
 
 from agent.config import AgentConfig
-from agent.estimator.estimator import Beliefs, Estimator
+from agent.estimator.estimator import Beliefs
+from agent.estimator.history import History
 from agent.estimator.joint_update import DetectionSet
-from agent.interface import clock
 from agent.interface.fleet import Fleet
-from agent.interface.frames import Array, wrap
+from agent.interface.frames import Array
 from agent.interface.messages import LOCALISED
 from agent.registration.bank import Team
 from agent.registration.reasons import Situation
-from agent.registration.registrar import Commit, Registrar
+from agent.registration.registrar import Commit, Mask, Registrar
 from agent.registration.watchdog import Watchdog
-
-FASTEST_M_S, FASTEST_RAD_S = 15.0, 10.0  # beyond, an odometry has not flown but begun anew
 
 
 class Localised(NamedTuple):
@@ -36,20 +35,25 @@ class Localiser:
         self._ids = [station, *(mav for mav in fleet.ids if mav != station)]  # by index
         self._index = {mav: index for index, mav in enumerate(self._ids)}
         self._rows = [mav - 1 for mav in self._ids] + [fleet.mavs]  # of bodies by number, by index
-        self._estimator = Estimator(config, fleet, station)
+        self._history = History(config, fleet, station)
         self._registrar = Registrar(config, fleet.mavs, fleet.rate_hz)
         self._watchdog = Watchdog(self._registrar.filter, fleet.mavs, config.detector.P_D)
         self._needed = f"{config.localised_sigma_m:g} m and {config.localised_sigma_rad:g} rad are needed"
-        self._last: dict[int, tuple[int, Array]] = {}  # by MAV: tick and reading of its odometry
-        self.station_us = 0  # wall time of the last tick's station updates, their mean
+
+    @property
+    def station_us(self) -> int:
+        """Wall time of the last tick's station updates, their mean."""
+        return self._history.station_us
 
     def start(self, frames: Array, position_sigma_m: float, yaw_sigma_rad: float) -> None:
         """Begins from a rough knowledge of all odometry frames (N, 4) instead of from none."""
-        self._estimator.start(frames, position_sigma_m, yaw_sigma_rad)
+        self._history.start(frames, position_sigma_m, yaw_sigma_rad)
 
-    def late(self, tick: int, station: int, spherical: Array) -> None:
-        """A detection set of a tick that is over: for the registration it is not too late."""
-        self._registrar.late(tick, self._index[station], spherical)
+    def late(self, tick: int, mav: int, *, odometry: Array | None = None, spherical: Array | None = None) -> None:
+        """What came of a tick that is over: an odometry reading (4,), or a detection set (M, 3)."""
+        seen = None if spherical is None else DetectionSet(mav, spherical)
+        if self._history.late(tick, mav, odometry=odometry, seen=seen):
+            self._registrar.late(tick, self._index[mav], odometry=odometry, spherical=spherical)
 
     def tick(self, tick: int, odometry: dict[int, Array], sets: list[DetectionSet]) -> Localised:
         """Takes in what was heard of a tick; its own odometry reading must be there.
@@ -59,80 +63,72 @@ class Localiser:
             odometry: by MAV, (4,) x y z m, yaw rad in its odometry frame.
             sets: own first, then by number.
         """
-        self._check_jumps(tick, odometry)
-        self._estimator.predict(odometry)
-        began_us = clock.now_us()
-        self._estimator.associate_all(sets)
-        self.station_us = (clock.now_us() - began_us) // max(len(sets), 1)
-        self._estimator.finish()
-        frame = self._registrar.tick(
+        self._history.hear(tick, odometry, sets)
+        anew = self._history.begun_anew()
+        if anew:
+            self._dismiss(anew, anew)
+        self._history.estimate()
+        self._registrar.tick(
             tick,
             {self._index[mav]: reading for mav, reading in odometry.items()},
             {self._index[s.station]: s.spherical for s in sets},
         )
-        team = self._team()
-        wrong = self._watchdog.look(team, frame)
-        if wrong:
-            self._dismiss([self._ids[index] for index in wrong])
-            if not self._estimator.members:  # the station itself begins anew
-                self._estimator.predict(odometry)
-            return self._localised()
-        commit = self._registrar.work_on(team)
+        for frame in self._registrar.advance(self._placed):
+            team = self._team(frame.tick)
+            wrong = [] if team is None else self._watchdog.look(team, frame)
+            if wrong:
+                self._dismiss([self._ids[index] for index in wrong], [])
+                return self._localised()
+        team = self._team(self._registrar.newest)
+        commit = None if team is None else self._registrar.work_on(team)
         if commit is not None:
-            self._admit(commit, odometry)
+            self._admit(commit)
         return self._localised()
 
-    def _check_jumps(self, tick: int, odometry: dict[int, Array]) -> None:
-        jumped = self._estimator.begun_anew(odometry)
-        for mav, reading in odometry.items():
-            if mav in self._last:
-                before, last = self._last[mav]
-                rate = self._fleet.rate_hz / max(tick - before, 1)
-                speed = float(np.linalg.norm(reading[:3] - last[:3])) * rate
-                if speed > FASTEST_M_S or abs(float(wrap(reading[3] - last[3]))) * rate > FASTEST_RAD_S:
-                    jumped.append(mav)
-            self._last[mav] = (tick, reading)
-        if jumped:
-            self._dismiss(jumped)
-
-    def _dismiss(self, mavs: list[int]) -> None:
+    def _dismiss(self, mavs: list[int], anew: list[int]) -> None:
         """Back to searching for these MAVs; for all, if the station itself is among them."""
         if self._station in mavs:
-            self._estimator = Estimator(self._config, self._fleet, self._station)
+            self._history.begin_anew()
+            self._history.estimate()
             mavs = self._ids
         else:
-            self._estimator.dismiss([mav for mav in mavs if mav in self._estimator.members])
+            self._history.dismiss(mavs, anew)
         self._watchdog.forget([self._index[mav] for mav in mavs])
         self._registrar.forget()
 
-    def _team(self) -> Team:
-        mavs, members = self._fleet.mavs, self._estimator.members
+    @property
+    def _placed(self) -> Mask:
+        """(N,) by index, who is in the filter."""
+        return np.array([mav in self._history.members for mav in self._ids])
+
+    def _team(self, tick: int) -> Team | None:
+        """Who was in the filter after this tick; None if that is not known any more."""
+        mavs, then = self._fleet.mavs, self._history.team(tick)
+        if then is None:
+            return None
         y, P, placed = np.zeros((mavs + 1, 4)), np.zeros((mavs + 1, 4, mavs + 1, 4)), np.zeros(mavs, bool)
-        at = [*(self._index[mav] for mav in members), mavs]
-        poses = self._estimator.poses
-        y[at] = poses.by_body
-        P[np.ix_(at, range(4), at, range(4))] = poses.Sigma.reshape(len(at), 4, len(at), 4)
+        at = [*(self._index[mav] for mav in then.members), mavs]
+        y[at] = then.poses.by_body
+        P[np.ix_(at, range(4), at, range(4))] = then.poses.Sigma.reshape(len(at), 4, len(at), 4)
         placed[at[:-1]] = True
         return Team(y, P[1:, :, 1:].reshape(4 * mavs, 4 * mavs), placed)
 
-    def _admit(self, commit: Commit, odometry: dict[int, Array]) -> None:
-        newcomers = [mav for mav in map(self._ids.__getitem__, commit.mavs) if mav in odometry]
-        if not newcomers:
-            return
+    def _admit(self, commit: Commit) -> None:
+        newcomers = [self._ids[index] for index in commit.mavs]
         bodies = self._fleet.mavs + 1
         y, Sigma = np.empty((bodies, 4)), np.zeros((bodies, 4, bodies, 4))
         y[self._rows] = commit.y
         others = self._rows[1:]
         P = commit.P.reshape(bodies - 1, 4, bodies - 1, 4)
         Sigma[np.ix_(others, range(4), others, range(4))] = P
-        self._estimator.admit(newcomers, y, Sigma.reshape(4 * bodies, 4 * bodies))
-        self._watchdog.forget([self._index[mav] for mav in newcomers])
+        self._history.admit(commit.tick, newcomers, y, Sigma.reshape(4 * bodies, 4 * bodies))
+        self._watchdog.forget(list(commit.mavs))
 
     def _localised(self) -> Localised:
-        beliefs = self._estimator.beliefs()
+        beliefs = self._history.beliefs()
         if (beliefs.states == LOCALISED).all():
             return Localised(beliefs, None)
-        found = self._registrar.situation(self._ids, self._team().placed)
+        found = self._registrar.situation(self._ids, self._placed)
         order = [self._index[mav] for mav in self._fleet.ids]
         situation = Situation(
             found.states[order],
@@ -141,7 +137,7 @@ class Localiser:
             found.placed[:, order],
             found.poses[:, order],
         )
-        members = [mav - 1 for mav in self._estimator.members]
+        members = [mav - 1 for mav in self._history.members]
         states, reasons = situation.states.copy(), list(situation.reasons)
         states[members] = beliefs.states[members]
         for row in members:

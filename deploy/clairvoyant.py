@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from agent.config import AgentConfig, parse
-from agent.estimator.estimator import Estimator
+from agent.estimator.history import History
 from agent.estimator.joint_update import DetectionSet
-from agent.interface.frames import Array, compose, relative_pose
+from agent.interface.frames import compose, relative_pose
 from deploy.metrics import odometry_origins
 from deploy.recording import GONE, Beliefs, Recording, Survey
 
@@ -48,21 +48,26 @@ def replay(recording: Recording, agent: dict[str, Any], told: bool = True) -> Be
 
 
 class _Heard(NamedTuple):
-    odometry: dict[int, Array]  # by MAV
-    sets: list[int]  # whose detection sets, in the order in which they are taken
+    """What an agent was given in one tick: of which tick and MAV."""
+
+    odometry: list[tuple[int, int]]
+    sets: list[tuple[int, int]]
 
 
 def _heard(recording: Recording, k: int, station: int) -> _Heard:
-    """What this agent was given for this tick: its own, and what arrived in time. What arrives later is not used."""
+    """Its own, and what arrived; in the order in which sets are taken."""
     order = [station, *(mav for mav in recording.fleet.ids if mav != station)]
-    here = [mav for mav in order if np.isfinite(recording.odometry[k, mav - 1, 0])]
-    with_sets = here
     if recording.arrivals:
-        punctual = {(each.sender, each.topic) for each in recording.arrivals.get((k, station), []) if each.tick == k}
-        here = [mav for mav in here if mav == station or (mav, "odometry") in punctual]
-        with_sets = [mav for mav in here if mav == station or (mav, "detections") in punctual]
-    odometry = {mav: recording.odometry[k, mav - 1] for mav in here}
-    return _Heard(odometry, [mav for mav in with_sets if _labelled(recording, k, mav)])
+        arrived = recording.arrivals.get((k, station), [])
+        odometry = [(each.tick, each.sender) for each in arrived if each.topic == "odometry"]
+        sets = [(each.tick, each.sender) for each in arrived if each.topic == "detections"]
+        heard = _Heard([(k, station), *odometry], [(k, station), *sets])
+    else:
+        heard = _Heard([(k, mav) for mav in order], [(k, mav) for mav in order])
+    return _Heard(
+        [(tick, mav) for tick, mav in heard.odometry if np.isfinite(recording.odometry[tick, mav - 1, 0])],
+        sorted((each for each in heard.sets if _labelled(recording, *each)), key=lambda each: order.index(each[1])),
+    )
 
 
 class _Twin:
@@ -71,7 +76,7 @@ class _Twin:
     def __init__(self, config: AgentConfig, recording: Recording, station: int, k: int, told: bool) -> None:
         """Begins at tick k."""
         self._recording, self._station, self._began, self._told = recording, station, k, told
-        self._estimator = Estimator(config, recording.fleet, station)
+        self._history = History(config, recording.fleet, station)
         self._lives = recording.incarnations[k].copy()  # as the filter knows the MAVs
         self.incarnation = recording.incarnations[k, station - 1]
         everybody = bool((self._lives != GONE).all())
@@ -81,49 +86,64 @@ class _Twin:
             survey = _true_start(recording, station, k)
         self.lost = survey is None and everybody  # the truth is not known
         if survey is not None:
-            self._estimator.start(survey.poses, survey.position_sigma_m, survey.yaw_sigma_rad)
+            self._history.start(survey.poses, survey.position_sigma_m, survey.yaw_sigma_rad)
 
     def estimate(self, k: int, beliefs: Beliefs) -> None:
         """One tick; what is believed then is entered."""
-        recording, estimator = self._recording, self._estimator
+        recording, history, i = self._recording, self._history, self._station - 1
         heard = _heard(recording, k, self._station)
-        odometry = heard.odometry
+        readings = heard.odometry
         if k == self._began and not self._surveyed:  # it is told where they all are, so it has heard them all
-            odometry = {mav: z for mav, z in enumerate(recording.odometry[k], 1) if np.isfinite(z).all()}
-        self._forget_lives(k)
-        estimator.predict(odometry)
-        estimator.associate_all(
-            [
-                DetectionSet(mav, recording.detections[k, mav], recording.labels[k, mav] if self._told else None)
-                for mav in heard.sets
-            ]
+            everybody = [(k, mav) for mav, z in enumerate(recording.odometry[k], 1) if np.isfinite(z).all()]
+            readings = [*everybody, *(each for each in readings if each[0] != k)]
+        for tick, mav in readings:
+            if tick < k:
+                history.late(tick, mav, odometry=recording.odometry[tick, mav - 1])
+        for tick, mav in heard.sets:
+            if tick < k:
+                history.late(tick, mav, seen=self._set(tick, mav))
+        history.hear(
+            k,
+            {mav: recording.odometry[k, mav - 1] for tick, mav in readings if tick == k},
+            [self._set(k, mav) for tick, mav in heard.sets if tick == k],
         )
-        estimator.finish()
+        self._forget_lives(k)
+        history.estimate()
         if not self._surveyed:
-            self._admit(k, [mav for mav in odometry if mav not in estimator.members])
-        believed, i = estimator.beliefs(), self._station - 1
+            self._admit(readings)
+        believed = history.beliefs()
         beliefs.states[k, i], beliefs.estimates[k, i] = believed.states, believed.poses
         beliefs.starts[k, i] = believed.start
 
+    def _set(self, tick: int, mav: int) -> DetectionSet:
+        labels = self._recording.labels[tick, mav] if self._told else None
+        return DetectionSet(mav, self._recording.detections[tick, mav], labels)
+
     def _forget_lives(self, k: int) -> None:
         """Those that have been started anew have another odometry frame."""
-        now = self._recording.incarnations[k]
-        anew = [mav for mav in self._estimator.members if now[mav - 1] not in (GONE, self._lives[mav - 1])]
-        if anew:
-            self._estimator.dismiss(anew)
+        now, history = self._recording.incarnations[k], self._history
+        anew = [mav for mav in self._recording.fleet.ids if now[mav - 1] not in (GONE, self._lives[mav - 1])]
+        for mav in anew:
+            history.forget_odometry(mav, k)
+        anew = sorted({*anew, *history.begun_anew()})
+        if self._station in anew:
+            history.begin_anew()
+        elif anew:
+            history.dismiss(anew, anew)
         self._lives = np.where(now == GONE, self._lives, now)
 
-    def _admit(self, k: int, newcomers: list[int]) -> None:
+    def _admit(self, readings: list[tuple[int, int]]) -> None:
         """Those whom it hears for the first time, or again, are where they are in truth."""
-        true, estimator, i = self._recording.true_poses[k], self._estimator, self._station - 1
-        newcomers = [mav for mav in newcomers if np.isfinite(true[[i, mav - 1]]).all()]
-        if not newcomers or not estimator.members:
-            return
-        own = estimator.poses.by_body[estimator.members.index(self._station)]
-        y = np.zeros((len(true) + 1, 4))
-        y[:-1] = compose(own, relative_pose(true[i], true))
-        sigmas = np.tile([TRUE_START_SIGMA[0]] * 3 + [TRUE_START_SIGMA[1]], len(y))
-        estimator.admit(sorted(newcomers), np.nan_to_num(y), np.diag(sigmas**2))
+        i = self._station - 1
+        for tick, mav in sorted(readings):
+            true, team = self._recording.true_poses[tick], self._history.team(tick)
+            if team is None or mav in self._history.members or not np.isfinite(true[[i, mav - 1]]).all():
+                continue
+            own = team.poses.by_body[team.members.index(self._station)]
+            y = np.zeros((len(true) + 1, 4))
+            y[:-1] = compose(own, relative_pose(true[i], true))
+            sigmas = np.tile([TRUE_START_SIGMA[0]] * 3 + [TRUE_START_SIGMA[1]], len(y))
+            self._history.admit(tick, [mav], np.nan_to_num(y), np.diag(sigmas**2))
 
 
 def _true_start(recording: Recording, station: int, k: int) -> Survey | None:

@@ -13,27 +13,25 @@ The filter holds its *members*: the station, and whom it was told of by `start` 
 clutter to it.
 """
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import lapack
 
-from agent.config import COASTING_SIGMA, AgentConfig
+from agent.config import AgentConfig
 from agent.estimator import cpdaf, odometry_model
 from agent.estimator.gating import chi_square_quantile
 from agent.estimator.joint_update import DetectionSet, joint_update
 from agent.estimator.membership import conditional, with_newcomers
-from agent.estimator.moments import LINEAR_YAW_VARIANCE, DetectionGeometry, PoseMoments, pose_moments
+from agent.estimator.moments import LINEAR_YAW_VARIANCE, PoseMoments, detection_geometry, lifted, pose_moments
+from agent.estimator.motion import Model, Motion, Step
 from agent.estimator.prediction import predict
-from agent.estimator.state import P_ODOM, PSI, PSI_FRAME, Poses, State, from_frames
+from agent.estimator.prior import Prior
+from agent.estimator.state import Poses, State, from_frames
 from agent.estimator.station_update import Pairs, station_update
 from agent.interface.fleet import Fleet
 from agent.interface.frames import Array, wrap
 from agent.interface.messages import LOCALISED, SEARCHING
-
-BEGUN_ANEW = 1 - 1e-6  # a reading after a silence is further off than this share of them would be
 
 
 class Beliefs(NamedTuple):
@@ -48,6 +46,27 @@ class Beliefs(NamedTuple):
     lost_mass: float  # largest share of hypothesis weight left out in one set
 
 
+class Counts(NamedTuple):
+    """Of one tick."""
+
+    innovations: int
+    inside: int  # their own 95 % gate
+    lost_mass: float
+
+
+NOTHING = Counts(0, 0, 0.0)
+
+
+class Snapshot(NamedTuple):
+    """What the estimator knows after a tick."""
+
+    state: State | None
+    motion: Motion
+    members: list[int]
+    prior: Prior | None
+    moments: PoseMoments | None  # of the state
+
+
 class Estimator:
     def __init__(self, config: AgentConfig, fleet: Fleet, station: int) -> None:
         """For the MAV `station`, 1..N; localises nobody before `start` or `admit`."""
@@ -59,68 +78,62 @@ class Estimator:
             chi_square_quantile(f.P_G, 3) if f.gating else np.inf, f.hypothesis_evaluation, f.pruned_mass
         )
         self._gate_95 = chi_square_quantile(0.95, 3)
-        self._prior: tuple[Array, tuple[float, float]] | None = None
+        self._prior: Prior | None = None
         self._state: State | None = None
-        self._readings = np.full((fleet.mavs + 1, 4), np.nan)  # the last tick's odometry; the start's is zero
-        self._increments = np.zeros((fleet.mavs + 1, 4))
+        self._before: PoseMoments | None = None  # of the state
+        self._motion = Motion.begin(Model.of(config, fleet), fleet.mavs)
         self.members: list[int] = []  # MAV numbers, ascending
-        self._begin_tick()
-
-    def _begin_tick(self) -> None:
-        self._innovations = self._inside = 0
-        self._lost_mass = 0.0
+        self.counts = NOTHING
 
     def start(self, frames: Array, position_sigma_m: float, yaw_sigma_rad: float) -> None:
-        """Begins from a rough knowledge of all odometry frames (N, 4) in the station's own, at the next `predict`."""
-        self._prior = (frames, (position_sigma_m, yaw_sigma_rad))
+        """Takes in everybody who is read, from a rough knowledge of all odometry frames (N, 4) in the station's own."""
+        self._prior = Prior(frames, position_sigma_m, yaw_sigma_rad)
 
     def predict(self, odometry: dict[int, Array]) -> None:
         """Moves the belief to this tick: readings (4,) x y z m, yaw rad in each MAV's odometry frame, by MAV."""
-        self._begin_tick()
-        z = np.full((self._fleet.mavs + 1, 4), np.nan)
-        z[-1] = 0.0
+        z = np.full((self._fleet.mavs, 4), np.nan)
         for mav, reading in odometry.items():
             z[mav - 1] = reading
-        if self._state is None or (self._prior is not None and np.isfinite(z).all()):
+        self.predict_from(z, np.zeros(self._fleet.mavs, np.intp))
+
+    def predict_from(self, readings: Array, between: npt.NDArray[np.intp]) -> None:
+        """Moves the belief to this tick.
+
+        Args:
+            readings: (N, 4) x y z m, yaw rad in each MAV's odometry frame; NaN where there is none.
+            between: (N,) 0, or where it is interpolated: ticks between the two readings it lies between.
+        """
+        self.counts = NOTHING
+        z = np.concatenate([readings, np.zeros((1, 4))])  # the start has not moved
+        step = self._motion.step(z, np.append(between, 0))
+        self._motion = step.motion
+        if self._state is None:
             self._begin(z)
         else:
-            self._state = self._moved(self._state, z)
+            self._state = self._moved(self._state, z, step)
         if self._state is not None:
             self._take_moments()
-
-    def begun_anew(self, odometry: dict[int, Array]) -> list[int]:
-        """Members whose reading ends a silence where their odometry cannot have gone meanwhile; before `predict`."""
-        if self._state is None:
-            return []
-        found, state = [], self._state
-        blocks = state.P.reshape(state.bodies, 8, state.bodies, 8)
-        for k, mav in enumerate(self.members):
-            if mav not in odometry or np.isfinite(self._readings[mav - 1, 3]):
-                continue
-            body, P, reading = state.by_body[k], blocks[k, :, k], odometry[mav]
-            moved = reading - self._increments[mav - 1]
-            turned = float(wrap(moved[3] - body[PSI] + body[PSI_FRAME]))
-            coasting = np.divide(COASTING_SIGMA, self._fleet.rate_hz) ** 2
-            variance = P.diagonal()[P_ODOM] + coasting[0]
-            yaw_variance = P[PSI, PSI] + P[PSI_FRAME, PSI_FRAME] - 2 * P[PSI, PSI_FRAME] + coasting[1]
-            square = float(((moved[:3] - body[P_ODOM]) ** 2 / variance).sum()) + turned**2 / float(yaw_variance)
-            if square > chi_square_quantile(BEGUN_ANEW, 4):
-                found.append(mav)
-        return found
+            if self._prior is not None:
+                self._join(self._prior, z)
 
     def _begin(self, z: Array) -> None:
-        """Makes the state: of everybody once there is a prior and every reading, before that of the station alone."""
-        if self._prior is not None and np.isfinite(z).all():
-            self.members = list(self._fleet.ids)
-            frames, sigma = np.vstack([self._prior[0], np.zeros(4)]), self._prior[1]
-            self._prior = None
-        elif np.isfinite(z[self._station - 1]).all():
-            self.members = [self._station]
-            frames, sigma = np.zeros((2, 4)), (0.0, 0.0)
-        else:
+        """Makes the state once the station's odometry is there: of all who are read, if there is a prior on them."""
+        if np.isnan(z[self._station - 1, 3]):
             return
-        self._readings = z
+        self.members, frames, sigma = [self._station], np.zeros((2, 4)), (0.0, 0.0)
+        if self._prior is not None:
+            rows, prior = self._prior.of(z[:-1]), self._prior
+            self.members, self._prior = [row + 1 for row in rows], prior.without(rows)
+            frames, sigma = np.vstack([prior.frames[rows], np.zeros(4)]), (prior.position_sigma_m, prior.yaw_sigma_rad)
         self._state = from_frames(frames, z[self._rows], self._row(self._station) + 1, sigma, self._sigma_odometry)
+
+    def _join(self, prior: Prior, z: Array) -> None:
+        """Takes in those of the prior who are read for the first time."""
+        rows = prior.of(z[:-1])
+        newcomers = [row + 1 for row in rows if row + 1 not in self.members]
+        if newcomers:
+            self.admit(newcomers, *prior.poses(z[:-1]))
+        self._prior = prior.without(rows)
 
     @property
     def _rows(self) -> list[int]:
@@ -130,24 +143,15 @@ class Estimator:
     def _row(self, mav: int) -> int:
         return self.members.index(mav)
 
-    def _moved(self, state: State, z: Array) -> State:
-        increments = z - self._readings
-        increments[:, 3] = wrap(increments[:, 3])
-        input_sigma = np.multiply(np.sqrt(2.0), np.tile(self._sigma_odometry, (len(z), 1)))
-        # An increment takes two readings in a row. Without them a MAV goes on as it last did; where that took it is
-        # for the reading that ends the silence, and for detections, to say.
-        unheard = ~np.isfinite(increments[:, 3])
-        if unheard.any():
-            increments[unheard] = self._increments[unheard]
-            input_sigma[unheard] = np.divide(COASTING_SIGMA, self._fleet.rate_hz)
-        self._readings, self._increments = z, increments
+    def _moved(self, state: State, z: Array, step: Step) -> State:
         rows = self._rows
-        state = predict(state, increments[rows], input_sigma[rows], self._sigma_drift)
-        return odometry_model.update(state, z[rows], self._sigma_odometry)
+        state = predict(state, step.increments[rows], step.sigma[rows], self._sigma_drift, step.coasting[rows])
+        between = step.motion.between[rows, None] > 0  # no reading, whatever it may be close to
+        return odometry_model.update(state, np.where(between, np.nan, z[rows]), self._sigma_odometry)
 
     def _take_moments(self) -> None:
         assert self._state is not None
-        self._before: PoseMoments = pose_moments(self._state)
+        self._before = pose_moments(self._state)
         self._poses: Poses = self._before.poses
         self._pairs = Pairs.at(self._poses, self._config.detector)
 
@@ -162,7 +166,7 @@ class Estimator:
         if self._state is None or not len(spherical) or len(self.members) == 1 or station not in self.members:
             return
         density = self._config.detector.clutter_density
-        geometry = _geometry(len(self.members) + 1, self._row(station) + 1)
+        geometry = detection_geometry(len(self.members) + 1, self._row(station) + 1)
         if labels is not None:
             labels = self._known(labels)
         self._poses, found = station_update(self._poses, geometry, self._pairs, spherical, density, self._rules, labels)
@@ -193,9 +197,10 @@ class Estimator:
             self.associate(station, spherical, labels)
 
     def _count(self, distances: Array, lost_mass: float) -> None:
-        self._innovations += len(distances)
-        self._inside += int((distances <= self._gate_95).sum())
-        self._lost_mass = max(self._lost_mass, lost_mass)
+        before, inside = self.counts, int((distances <= self._gate_95).sum())
+        self.counts = Counts(
+            before.innovations + len(distances), before.inside + inside, max(before.lost_mass, lost_mass)
+        )
 
     @property
     def poses(self) -> Poses:
@@ -205,14 +210,18 @@ class Estimator:
 
     def finish(self) -> Beliefs:
         """Lifts the tick's pose updates to the state; what is believed now."""
-        if self._state is not None and self._poses is not self._before.poses:
-            self._state = _lifted(self._state, self._before, self._poses)
-            self._before = self._before._replace(poses=self._poses)
+        self.lift()
         return self.beliefs()
+
+    def lift(self) -> None:
+        """`finish`, for who does not ask what is believed."""
+        if self._state is not None and self._before is not None and self._poses is not self._before.poses:
+            self._state = lifted(self._state, self._before, self._poses)
+            self._before = self._before._replace(poses=self._poses)
 
     def beliefs(self) -> Beliefs:
         """What is believed after `finish`, `admit` and `dismiss`."""
-        mavs, own, counts = self._fleet.mavs, self._station - 1, (self._innovations, self._inside, self._lost_mass)
+        mavs, own = self._fleet.mavs, self._station - 1
         poses, covariances = np.zeros((mavs, 4)), np.tile(np.eye(4) * 1e6, (mavs, 1, 1))
         states, start = np.full(mavs, SEARCHING, np.uint8), np.zeros(4)
         if self._state is not None:
@@ -228,7 +237,7 @@ class Estimator:
             )
             states[known] = LOCALISED
         states[own] = LOCALISED
-        return Beliefs(states, poses, covariances, start, *counts)
+        return Beliefs(states, poses, covariances, start, *self.counts)
 
     def admit(self, newcomers: list[int], y: Array, Sigma: Array) -> None:
         """Takes in MAVs that were not members, after `finish`; each must have been heard in this tick.
@@ -242,7 +251,7 @@ class Estimator:
             Sigma: (4 (N + 1), 4 (N + 1)) their joint covariance; only rows of newcomers and members are looked at.
         """
         assert self._state is not None
-        readings = self._readings[[mav - 1 for mav in newcomers]]
+        readings = self._motion.past[-1, [mav - 1 for mav in newcomers]]
         assert np.isfinite(readings).all(), "a newcomer was not heard"
         old = [row for row in self._rows if row != self._station - 1]
         new = [mav - 1 for mav in newcomers]
@@ -263,27 +272,29 @@ class Estimator:
         last = len(self.members)
         self.members = [self.members[k] for k in kept]
         self._rebuild(self._state, [*kept, last])
+        self._prior = self._prior and self._prior.without([mav - 1 for mav in mavs])
+
+    def lose_track(self, mavs: list[int]) -> None:
+        """Forgets where the odometry of these MAVs was, after it began anew."""
+        self._motion = self._motion.without([mav - 1 for mav in mavs])
+
+    @property
+    def motion(self) -> Motion:
+        """Of all MAVs, members or not, up to this tick."""
+        return self._motion
+
+    def snapshot(self) -> Snapshot:
+        """All that is known between two ticks. It costs nothing: arrays are replaced, never changed."""
+        return Snapshot(self._state, self._motion, self.members, self._prior, self._before)
+
+    def restore(self, then: Snapshot) -> None:
+        """Goes back to where it was."""
+        self._state, self._motion, self.members, self._prior, self._before = then
+        if then.moments is not None:
+            self._poses = then.moments.poses
 
     def _rebuild(self, state: State, bodies: list[int]) -> None:
         """Keeps these bodies of the state, in this order."""
         entries = (8 * np.array(bodies)[:, None] + np.arange(8)).ravel()
         self._state = State(state.x[entries], state.P[np.ix_(entries, entries)], self._row(self._station) + 1)
         self._take_moments()
-
-
-@lru_cache(maxsize=256)
-def _geometry(bodies: int, station: int) -> DetectionGeometry:
-    return DetectionGeometry(bodies, station)
-
-
-def _lifted(state: State, before: PoseMoments, after: Poses) -> State:
-    """The state given what the tick's detections changed in the poses: exact for jointly Gaussian (x, y)."""
-    Sigma = before.poses.Sigma
-    factor, info = lapack.dpotrf(Sigma, lower=1, clean=1)
-    assert info == 0, "the covariance of the poses is not positive definite"
-    Gt, _ = lapack.dpotrs(factor, before.P_xy.T, lower=1)
-    x = state.x + (after.y - before.poses.y) @ Gt
-    P = state.P - Gt.T @ (Sigma - after.Sigma) @ Gt
-    P += P.T
-    P *= 0.5
-    return State(x, P, state.station)

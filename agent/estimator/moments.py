@@ -14,10 +14,12 @@ and products of two such terms follow with theta_j -+ theta_k in place of theta.
 only the expected Jacobian: P_xz = P E[J]^T (Stein).
 """
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import lapack
 
 from agent.estimator.state import P_FRAME, P_ODOM, PSI, PSI_FRAME, Poses, State, poses_jacobian
 from agent.interface.frames import Array, rotate_z
@@ -118,6 +120,19 @@ def pose_moments(state: State) -> PoseMoments:
     return PoseMoments(Poses(y.ravel(), Sigma), P_xy)
 
 
+def lifted(state: State, before: PoseMoments, after: Poses) -> State:
+    """The state given what the tick's detections changed in the poses: exact for jointly Gaussian (x, y)."""
+    Sigma = before.poses.Sigma
+    factor, info = lapack.dpotrf(Sigma, lower=1, clean=1)
+    assert info == 0, "the covariance of the poses is not positive definite"
+    Gt, _ = lapack.dpotrs(factor, before.P_xy.T, lower=1)
+    x = state.x + (after.y - before.poses.y) @ Gt
+    P = state.P - Gt.T @ (Sigma - after.Sigma) @ Gt
+    P += P.T
+    P *= 0.5
+    return State(x, P, state.station)
+
+
 class DetectionMoments(NamedTuple):
     """Of the noise-free detections of L targets by one station, in levelled axes (turned by its mean yaw)."""
 
@@ -138,6 +153,11 @@ class DetectionGeometry:
             Ht[j, :3, column] = np.eye(3)
             Ht[self.own, :3, column] = -np.eye(3)
         self.Ht = Ht.reshape(4 * bodies, 3 * len(self.targets))  # H transposed; its yaw row is rewritten at each use
+
+
+@lru_cache(maxsize=256)
+def detection_geometry(bodies: int, station: int) -> DetectionGeometry:
+    return DetectionGeometry(bodies, station)
 
 
 def detection_moments(poses: Poses, geometry: DetectionGeometry) -> DetectionMoments:

@@ -12,6 +12,9 @@ with J = d/dpsi Rz at 0: the frame turns about the body, not about itself. And s
 odometry frame of the estimating MAV s, the drift of s moves every other MAV, fully correlated (rank 4):
 
     p_common_odom += n_s + w_s J (p_s - p_common_odom),   psi_common_odom -= w_s,   psi_common_body -= w_s
+
+That is for an increment that was read, which the motion and the drift make together. Where it is a guess of the motion,
+drift does not move the body but its unheard reading: p_odom_body -= Rz(psi_common_odom)^T n, and the yaw read -= w.
 """
 
 from functools import lru_cache
@@ -22,6 +25,8 @@ import numpy.typing as npt
 
 from agent.estimator.state import P_FRAME, P_ODOM, PSI, PSI_FRAME, State
 from agent.interface.frames import Array, rotate_z
+
+Mask = npt.NDArray[np.bool_]
 
 
 class _Drift(NamedTuple):
@@ -64,7 +69,9 @@ def drift_input(state: State) -> Array:
     return Gamma
 
 
-def predict(state: State, increments: Array, input_sigma: Array, drift_sigma: tuple[float, float]) -> State:
+def predict(
+    state: State, increments: Array, input_sigma: Array, drift_sigma: tuple[float, float], coasting: Mask | None = None
+) -> State:
     """The state one tick later.
 
     Args:
@@ -73,6 +80,7 @@ def predict(state: State, increments: Array, input_sigma: Array, drift_sigma: tu
         input_sigma: (B, 2) standard deviation of an increment, per axis m and rad: white noise of the readings, or
             what a MAV whose odometry is missing may have done meanwhile.
         drift_sigma: standard deviation of VIO drift per tick, per axis m and rad.
+        coasting: (B,) whose increment was not read, but is a guess of its motion; nobody's, if left out.
     """
     bodies = state.bodies
     x = state.x.copy()
@@ -80,6 +88,14 @@ def predict(state: State, increments: Array, input_sigma: Array, drift_sigma: tu
     by_body[:, :4] += increments
     position_sigma, yaw_sigma = drift_sigma
     Gamma = drift_input(state)
+    if coasting is not None and coasting.any():
+        i, by_noise = coasting.nonzero()[0], Gamma.reshape(bodies, 8, bodies, 4)
+        yaw = state.by_body[i, PSI_FRAME]
+        by_noise[i, 0, i, 0] = by_noise[i, 1, i, 1] = -np.cos(yaw)
+        by_noise[i, 1, i, 0] = np.sin(yaw)
+        by_noise[i, 0, i, 1] = -by_noise[i, 1, i, 0]
+        by_noise[i, 2, i, 2] = -1.0
+        by_noise[i, PSI, i, 3] -= 1.0
     Gamma *= np.array([position_sigma, position_sigma, position_sigma, yaw_sigma] * bodies)
     P = Gamma @ Gamma.T
     P += state.P

@@ -21,6 +21,7 @@ from agent.registration.hypotheses import WINDOW, Hypotheses
 from agent.registration.proposals import propose
 from agent.registration.reasons import Situation, situation
 from agent.registration.verdict import LEAST_TICKS, Verdict, judge
+from agent.registration.waiting import Waiting
 from agent.registration.window import Frame, Window
 
 PROPOSAL_FRAMES = 8
@@ -31,8 +32,6 @@ HASTY_ROUND_TICKS = 3  # between rounds of proposals while some MAV has no place
 ROUND_TICKS, MOST_PATIENT = 20, 4  # between rounds that change nothing, at first; later so many times as long
 CHALLENGE_TICKS, LAZY_CHALLENGE_TICKS = 4, 8  # between challenges of one leader: at first, and after fruitless ones
 CHALLENGE_HOLDS_TICKS = 5
-PATIENCE_TICKS = 3  # how long a tick waits for late data
-SILENT_TICKS = 10  # after which a MAV is not waited for
 
 Job = Generator[float, None, None]
 Mask = npt.NDArray[np.bool_]
@@ -41,8 +40,9 @@ Mask = npt.NDArray[np.bool_]
 class Commit(NamedTuple):
     """MAVs that may be called localised, given whom the station has localised before."""
 
+    tick: int  # the newest that the bank knows of
     mavs: npt.NDArray[np.intp]  # (C,) index
-    y: Array  # (B, 4) mean of all at the newest tick
+    y: Array  # (B, 4) mean of all at that tick
     P: Array  # (4N, 4N) of all but the station
 
 
@@ -61,14 +61,15 @@ class Registrar:
         self.filter = Filter(config, mavs, rate_hz)
         self._budget = config.registration.work_per_mav * mavs
         self._capacity = max(8, mavs + 1)
+        self._lag = config.lag_ticks(rate_hz)
         self._team = Team(np.zeros((mavs + 1, 4)), np.zeros((4 * mavs, 4 * mavs)), np.arange(mavs) == 0)
         self.forget()
 
     def forget(self) -> None:
         """Begins anew: all that was heard, and all hypotheses."""
-        self._window = Window(self._mavs, WINDOW)
+        self._window = Window(self._mavs, WINDOW + self._lag)
         self._done = -1  # tick of the last frame that the bank has taken in
-        self._arrived: dict[int, int] = {}  # by station: the tick in which its last set came in
+        self._waiting = Waiting(self._mavs, self._lag, 0)
         self._restart()
 
     def _restart(self) -> None:
@@ -86,36 +87,53 @@ class Registrar:
         if self._window.frames and tick != self._window.frames[-1].tick + 1:
             self.forget()
         if not self._window.frames:  # everybody is waited for at first
-            self._arrived = dict.fromkeys(range(self._mavs), tick)
+            self._waiting = Waiting(self._mavs, self._lag, tick)
         frame = self._window.add(tick, odometry)
+        self._waiting.heard(tick, [*odometry, *sets])
         for station, spherical in sets.items():
-            self._arrived[station] = tick
             frame.put(station, spherical)
+            self._waiting.heard_set(tick, tick, station)
         return frame
 
-    def late(self, tick: int, station: int, spherical: Array) -> None:
-        """A detection set of an earlier tick; one that was waited for in vain is of no use."""
+    def late(self, tick: int, mav: int, *, odometry: Array | None = None, spherical: Array | None = None) -> None:
+        """What came of an earlier tick, of one MAV (index); what was waited for in vain is of no use."""
         frame = self._window.at(tick)
-        if frame is not None:
-            self._arrived[station] = self._window.frames[-1].tick
-            if tick > self._done:
-                frame.put(station, spherical)
+        if frame is None or tick <= self._done:
+            return
+        now = self._window.frames[-1].tick + 1  # it is worked on in the tick to come
+        self._waiting.heard(now, [mav])
+        if odometry is not None:
+            frame.put_odometry(mav, odometry)
+        if spherical is not None:
+            frame.put(mav, spherical)
+            self._waiting.heard_set(now, tick, mav)
 
     def situation(self, ids: list[int], team: Mask) -> Situation:
         """How it stands, in words, with those not in the team (N,); for the MAV numbers by index."""
-        silent = np.zeros(self._mavs)
-        for frame in self._window.frames:
-            silent = np.where(frame.heard, 0, silent + 1)
+        now = self._window.frames[-1].tick if self._window.frames else 0
+        silent = self._waiting.silence(now)
         challenged = self._lately(WINDOW)
         saturated = None if challenged is None else challenged.saturated
-        ticks = len(self._window.frames)
+        ticks = len(self._past(WINDOW))
         return situation(self._hypotheses, self._verdict, saturated, team, silent, ticks, ids)
 
-    def work_on(self, team: Team) -> Commit | None:
-        """Does this tick's share of the work for those not in the team; returns whom to call localised now."""
-        self._team = team
-        for frame in self._ripe():
+    def advance(self, placed: Mask) -> list[Frame]:
+        """Takes in the ticks of which all is there that will be, and returns them; with these MAVs (N,) localised."""
+        self._team = Team(self._team.y, self._team.P, placed)
+        ripe = self._ripe()
+        for frame in ripe:
             self._advance(frame)
+        return ripe
+
+    @property
+    def newest(self) -> int:
+        """The newest tick that is taken in; -1 if none is."""
+        return self._done
+
+    def work_on(self, team: Team) -> Commit | None:
+        """Does this tick's share of the work for those not in the team, given as it was at the newest tick that is
+        taken in; returns whom to call localised then."""
+        self._team = team
         if team.placed.all():
             self._restart()
             return None
@@ -134,16 +152,13 @@ class Registrar:
         return self._commit()
 
     def _ripe(self) -> list[Frame]:
-        """The frames that are complete, or old enough, and that the bank has not taken in yet."""
-        frames, ripe = self._window.frames, []
-        now = frames[-1].tick
-        silent = np.array([now - self._arrived[station] >= SILENT_TICKS for station in range(self._mavs)])
-        for frame in frames:
-            if frame.tick > self._done:
-                if not (frame.heard | silent).all() and now - frame.tick < PATIENCE_TICKS:
-                    break
-                ripe.append(frame)
-                self._done = frame.tick
+        """The frames of which all is there that will be, and that the bank has not taken in yet."""
+        frames = [frame for frame in self._window.frames if frame.tick > self._done]
+        ripe = frames[: self._waiting.over(frames)]
+        for frame in ripe:
+            self._window.settle(frame)
+            self._done = frame.tick
+        self._waiting.done(self._done)
         return ripe
 
     def _advance(self, frame: Frame) -> None:
@@ -157,8 +172,7 @@ class Registrar:
         frame = self._window.at(self._done)
         if self._hypotheses is None or frame is None or team.placed.sum() == 1:
             return
-        then = replay.team_at(team, self._window.frames[-1], frame)
-        against = self._hypotheses.against(then.y[:-1], team.placed)
+        against = self._hypotheses.against(team.y[:-1], team.placed)
         if against.all():
             self._restart()
         elif against.any():
@@ -202,12 +216,16 @@ class Registrar:
         challenged = self._lately(WINDOW)
         return self._contested and not (challenged is not None and challenged.saturated.all())
 
+    def _team_at(self, frame: Frame) -> Team:
+        known = self._window.at(self._done)
+        return self._team if known is None else replay.team_at(self._team, known, frame)
+
     def _settled(self) -> Mask:
         """(N,) who is not in question: the team, but not the station as long as it is alone."""
         return np.asarray(self._team.placed & (self._team.placed.sum() > 1))
 
     def _base(self, verdict: Verdict | None, frame: Frame) -> Placement:
-        team = replay.team_at(self._team, self._window.frames[-1], frame)
+        team = self._team_at(frame)
         poses, P, placed = team.y[:-1], team.P, team.placed
         if verdict is not None and self._hypotheses is not None and (self._settled() | verdict.fitting).sum() > 1:
             bank = self._hypotheses.bank
@@ -234,7 +252,7 @@ class Registrar:
         """New hypotheses of this frame, once they have caught up."""
         for some in range(0, len(placements), TOGETHER):
             part = placements[some : some + TOGETHER]
-            team = replay.team_at(self._team, self._window.frames[-1], newest)
+            team = self._team_at(newest)
             names = range(self._names, self._names + len(part))
             self._names += len(part)
             new = yield from replay.replay(
@@ -277,9 +295,5 @@ class Registrar:
         ambiguous = (verdict.rivalled | challenged.saturated) & ~self._team.placed
         if not ready.any() or not verdict.fitting[0] or ambiguous.any():
             return None
-        lead = self._hypotheses.bank.of([verdict.leader])
-        for frame in self._window.frames:  # what the bank still waits for: it is now that counts
-            before = self._window.at(frame.tick - 1)
-            if frame.tick > self._done and before is not None:
-                self.filter.step(lead, before, frame)
-        return Commit(np.flatnonzero(ready), lead.y[0], lead.P[0])
+        bank = self._hypotheses.bank
+        return Commit(self._done, np.flatnonzero(ready), bank.y[verdict.leader], bank.P[verdict.leader])

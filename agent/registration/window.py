@@ -1,5 +1,7 @@
 """What was heard lately? The last ticks' odometry and detection sets, and how a pose is carried from tick to tick.
 
+What is late is put into its tick as long as nobody has made use of that: `settle` says that somebody does.
+
 Bodies are numbered from the station's point of view here: index 0 is the station itself, then the other MAVs in
 ascending order.
 """
@@ -7,8 +9,11 @@ ascending order.
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from agent.interface.frames import Array, rotate_z, wrap
+
+Mask = npt.NDArray[np.bool_]
 
 
 @dataclass
@@ -17,9 +22,9 @@ class Frame:
 
     tick: int
     odometry: Array  # (N, 4) x y z m, yaw rad in each MAV's odometry frame; unheard ones go on as they last did
-    read: np.ndarray[tuple[int], np.dtype[np.bool_]]  # (N,) whose odometry was heard
+    read: Mask  # (N,) whose odometry was heard, or is known from readings before and after
     spherical: Array  # (N, M, 3) range m, azimuth rad, elevation rad of every station's detections, NaN beyond its last
-    heard: np.ndarray[tuple[int], np.dtype[np.bool_]]  # (N,) whose detection set was heard
+    heard: Mask  # (N,) whose detection set was heard
 
     def put(self, station: int, spherical: Array) -> None:
         """Adds the detection set (M, 3) of this station (index)."""
@@ -28,6 +33,10 @@ class Frame:
             self.spherical = np.pad(self.spherical, ((0, 0), (0, missing), (0, 0)), constant_values=np.nan)
         self.spherical[station, : len(spherical)] = spherical
         self.heard[station] = True
+
+    def put_odometry(self, mav: int, reading: Array) -> None:
+        """Adds the odometry reading (4,) of this MAV (index)."""
+        self.odometry[mav], self.read[mav] = reading, True
 
 
 class Window:
@@ -43,15 +52,30 @@ class Window:
         for index, reading in odometry.items():
             readings[index] = reading
         read = np.isfinite(readings[:, 3])
-        if self.frames:
-            before = self.frames[-1].odometry
-            coasted = before + (before - self.frames[-2].odometry if len(self.frames) > 1 else 0.0)
-            readings[~read] = coasted[~read]
-        readings[np.isnan(readings)] = 0.0  # never heard: of no meaning, as it is neither station nor placed
         frame = Frame(tick, readings, read, np.full((self._mavs, 0, 3), np.nan), np.zeros(self._mavs, bool))
         self.frames.append(frame)
         del self.frames[: -self._length]
+        if not read.all():
+            self.settle(frame)
         return frame
+
+    def settle(self, frame: Frame) -> None:
+        """Makes up for the readings that a frame lacks: between two others, or on as that MAV last went."""
+        index = frame.tick - self.frames[0].tick
+        before, later = self.frames[:index], self.frames[index + 1 :]
+        for j in np.flatnonzero(~frame.read):
+            nearest = next((other for other in later if other.read[j]), None)
+            if before and before[-1].read[j] and nearest is not None:
+                last = before[-1].odometry[j]
+                chord = nearest.odometry[j] - last
+                chord[3] = wrap(chord[3])
+                frame.odometry[j] = last + chord / (nearest.tick - before[-1].tick)
+                frame.read[j] = True
+            elif before:
+                last = before[-1].odometry[j]
+                frame.odometry[j] = last + (last - before[-2].odometry[j] if len(before) > 1 else 0.0)
+            else:
+                frame.odometry[j] = 0.0  # never heard: of no meaning, as it is neither station nor placed
 
     def at(self, tick: int) -> Frame | None:
         """The frame of this tick, while it is kept."""

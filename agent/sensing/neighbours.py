@@ -1,10 +1,14 @@
-"""What have the MAVs said, tick by tick? Odometry and detection sets, kept until their tick is estimated."""
+"""What have the MAVs said, tick by tick? Odometry and detection sets, until their tick is estimated, and who said what.
+
+A tick that is over is remembered for as long as late data of it is of use, so that a repetition is known for one.
+"""
 
 from dataclasses import dataclass, field
 
 from agent.interface.frames import Array
 
-AHEAD = 64  # ticks that may wait; a sender further ahead of everybody is not believed
+AHEAD = 64  # ticks that may wait; a sender further ahead is not believed
+OFF_BEAT = 0.25  # of a tick that a stamp may be off the common beat
 
 
 @dataclass
@@ -16,40 +20,60 @@ class Tick:
 class Neighbours:
     """Own data is put here as well: an agent treats itself as one of the team."""
 
-    def __init__(self, mavs: int) -> None:
-        self._mavs = mavs
-        self._ticks: dict[int, Tick] = {}
-        self._done_ns = -1  # stamp of the last tick taken
-        self.late = 0
+    def __init__(self, mavs: int, rate_hz: float, lag: int) -> None:
+        """For stamps on the beat of this rate; data of a tick is of use until `lag` ticks later."""
+        self._mavs, self._rate_hz, self._lag = mavs, rate_hz, lag
+        self._ticks: dict[int, Tick] = {}  # by number
+        self._now: int | None = None  # the last tick that was taken
+        self.late = 0  # beyond the lag
         self.duplicate = 0
+        self.unbelieved = 0  # off the beat, or too far ahead
 
-    def put(self, stamp_ns: int, mav: int, *, odometry: Array | None = None, detections: Array | None = None) -> bool:
-        """Keeps one reading or set, unless its tick is over; that is counted late, a repetition duplicate."""
-        if stamp_ns <= self._done_ns:
+    def tick_of(self, stamp_ns: int) -> int:
+        """The number of the tick nearest to this time."""
+        return round(stamp_ns * self._rate_hz / 1e9)
+
+    def _on_beat(self, stamp_ns: int) -> bool:
+        beat = stamp_ns * self._rate_hz / 1e9
+        return abs(beat - round(beat)) <= OFF_BEAT
+
+    def expects(self, stamp_ns: int) -> bool:
+        """Whether this is the time of a tick that is not over."""
+        return self._on_beat(stamp_ns) and (self._now is None or self.tick_of(stamp_ns) > self._now)
+
+    def put(
+        self, stamp_ns: int, mav: int, *, odometry: Array | None = None, detections: Array | None = None
+    ) -> int | None:
+        """Keeps one reading or set; returns its tick if that is over and the data is new and of use, else None."""
+        number = self.tick_of(stamp_ns)
+        if not self._on_beat(stamp_ns) or (self._now is not None and number > self._now + AHEAD):
+            self.unbelieved += 1
+            return None
+        over = self._now is not None and number <= self._now
+        if self._now is not None and number <= self._now - self._lag:
             self.late += 1
-            return False
-        tick = self._ticks.get(stamp_ns)
-        if tick is None:
-            tick = self._ticks[stamp_ns] = Tick()
-            if len(self._ticks) > AHEAD:
+            return None
+        if number not in self._ticks:
+            self._ticks[number] = Tick()
+            if len(self._ticks) > AHEAD + self._lag + 1:
                 del self._ticks[max(self._ticks)]
-        for kept, new in ((tick.odometry, odometry), (tick.detections, detections)):
-            if new is None:
+        tick, new = self._ticks.get(number, Tick()), False  # it may be the one that was too many
+        for kept, data in ((tick.odometry, odometry), (tick.detections, detections)):
+            if data is None:
                 continue
             if mav in kept:
                 self.duplicate += 1
             else:
-                kept[mav] = new
-        return True
+                kept[mav], new = data, True
+        return number if new and over else None
 
-    def complete(self, stamp_ns: int) -> bool:
+    def complete(self, tick: int) -> bool:
         """Whether every MAV's odometry and detection set of this tick is here."""
-        tick = self._ticks.get(stamp_ns)
-        return tick is not None and len(tick.odometry) == self._mavs == len(tick.detections)
+        kept = self._ticks.get(tick)
+        return kept is not None and len(kept.odometry) == self._mavs == len(kept.detections)
 
-    def take(self, stamp_ns: int) -> Tick:
+    def take(self, tick: int) -> Tick:
         """What there is for this tick; it and all before it are over."""
-        tick = self._ticks.get(stamp_ns, Tick())
-        self._ticks = {stamp: kept for stamp, kept in self._ticks.items() if stamp > stamp_ns}
-        self._done_ns = stamp_ns
-        return tick
+        self._now = tick
+        self._ticks = {number: kept for number, kept in self._ticks.items() if number > tick - self._lag}
+        return self._ticks.setdefault(tick, Tick())

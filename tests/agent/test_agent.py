@@ -53,6 +53,13 @@ class Rig:
                 block = m.spherical_block(self.ticks[sets_of_tick].sets[i])
                 self.send(topics.DETECTIONS, i, m.Detections, block, sender=i, tick=sets_of_tick)
 
+    def shared_late(self, of, tick):
+        """What these MAVs told their peers of an earlier tick."""
+        for i in of:
+            block = m.spherical_block(self.ticks[tick].sets[i])
+            self.send(topics.ODOMETRY, i, m.Odometry, self.ticks[tick].odometry[i].tobytes(), sender=i, tick=tick)
+            self.send(topics.DETECTIONS, i, m.Detections, block, sender=i, tick=tick)
+
     def send(self, topic, mav, kind, *fields, sender=0, tick=None):
         tick = self.k if tick is None else tick
         message = kind(m.VERSION, EPOCH, sender, tick, self.fleet.stamp_ns(tick), *fields)
@@ -167,7 +174,7 @@ def hear(late, peers=(2, 3, 4), ticks=20):
 
 def test_detection_sets_that_are_late_localise_the_team_all_the_same():
     rig, estimate, status = hear(late=1)
-    assert status.late == 3 * 19
+    assert status.late == 0  # within the lag
     assert set(estimate.states) == {m.LOCALISED}
     assert error_m(rig, 1, estimate).max() < 0.3
     _, estimate, status = hear(late=None)
@@ -178,6 +185,63 @@ def test_detection_sets_that_are_late_localise_the_team_all_the_same():
 def test_a_mav_that_is_never_heard_does_not_keep_the_others_from_being_localised():
     _, estimate, _ = hear(late=0, peers=(2, 3), ticks=40)
     assert list(estimate.states) == [*[m.LOCALISED] * 3, m.SEARCHING]
+
+
+def station_of(rig):
+    """The estimates of the first agent, and its last status."""
+    packets = [message for mav, message in rig.published(m.Estimate, m.Status) if mav == 1]
+    return [each for each in packets if isinstance(each, m.Estimate)], packets[-1]
+
+
+@pytest.mark.parametrize(("late", "of_use"), [(1, True), (3, True), (9, True), (10, True), (11, False)])
+def test_what_is_late_is_used_within_the_lag_and_counted_beyond(late, of_use):
+    """Everything of the peers, odometry and sets."""
+    rig = Rig(mavs=4, places=SCATTERED, realtime=True, config=IMPATIENT, ticks=30)
+    for k in range(30):
+        rig.k = k
+        if k >= late:
+            rig.shared_late(of=(2, 3, 4), tick=k - late)
+        rig.sensors(of=[1])
+        rig.settle(rig.agents[:1])
+    estimates, status = station_of(rig)
+    assert status.late == (0 if of_use else 6 * (30 - late))
+    assert (set(estimates[-1].states) == {m.LOCALISED}) == of_use
+
+
+def test_repetitions_change_no_bit_and_are_counted():
+    estimates = []
+    for times in (1, 3):
+        rig = Rig(mavs=4, places=SCATTERED, realtime=True, config=IMPATIENT)
+        for k in range(20):
+            rig.k = k
+            for _ in range(times):
+                if k >= 2:
+                    rig.shared_late(of=(2, 3, 4), tick=k - 2)
+                rig.sensors(of=[1])
+                rig.settle(rig.agents[:1])
+        found, status = station_of(rig)
+        estimates.append([(each.stamp_ns, each.poses, each.covariances) for each in found])
+        assert status.duplicate == (times - 1) * 6 * 17  # those after the last tick are in no status
+    assert estimates[0] == estimates[1]
+
+
+def test_a_flood_of_any_stamps_changes_no_bit():
+    rng, estimates = np.random.default_rng(0), []
+    for flooded in (False, True):
+        rig = Rig(mavs=4, places=SCATTERED, ticks=12)
+        for k in range(12):
+            rig.k = k
+            rig.sensors()
+            rig.settle()
+            stamps = [*rng.integers(-(2**61), 2**61, 100), *(k * 10**8 + rng.integers(26 * 10**6, 74 * 10**6, 100))]
+            for stamp in stamps if flooded else ():
+                payload = m.Odometry(m.VERSION, EPOCH, 2, k, int(stamp), np.ones(4).tobytes())
+                rig.bus.publish("air/2/odometry", m.encode(payload))
+        packets = rig.published(m.Estimate, m.Status)
+        estimates.append([(mav, m.encode(each)) for mav, each in packets if isinstance(each, m.Estimate)])
+        last = of(1, packets)[-1]
+        assert last.rejected + last.late == (200 * 11 if flooded else 0)
+    assert estimates[0] == estimates[1]
 
 
 @pytest.mark.parametrize("tick", [-10, 0, 3])

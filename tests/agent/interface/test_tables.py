@@ -22,6 +22,7 @@ from agent.interface.tables import BadExperiment, parse_table
         ({"filter": {"odometry_sigma_m": 0.0}}, "odometry_sigma_m"),
         ({"localised_sigma_m": -1.0}, "agent.localised_sigma_m = -1.0: expected between 0 and 100 m"),
         ({"localised_sigma_rad": float("nan")}, "agent.localised_sigma_rad = nan: expected between 0 and 100 rad"),
+        ({"lag_s": -0.1}, "agent.lag_s = -0.1: expected 0 to 10 s"),
         ({"wait_for_peers_s": float("inf")}, "agent.wait_for_peers_s = inf: expected between 0 and 100 s"),
     ],
 )

@@ -11,7 +11,7 @@ from agent.interface.frames import compose, relative_pose, wrap
 from agent.interface.messages import LOCALISED, SEARCHING
 from agent.interface.sensors import Detector
 from agent.localiser import Localiser
-from tests import team
+from tests import links, team
 from tests.agent.registration.beginning import CONSISTENT, SEEDS, hovering, order, wandering
 
 
@@ -26,7 +26,7 @@ def fly(ticks, station=1, heard=lambda k, i: True, config=None, survey=False, de
         in_time = [i for i in ids if not delay or i == station]
         if k >= delay > 0:
             for i in ids[1:]:
-                localiser.late(k - delay, i, ticks[k - delay].sets[i])
+                localiser.late(k - delay, i, spherical=ticks[k - delay].sets[i])
         yield localiser.tick(k, {i: tick.odometry[i] for i in ids}, [DetectionSet(i, tick.sets[i]) for i in in_time])
 
 
@@ -191,6 +191,107 @@ def test_three_packets_in_ten_may_be_lost(seed):
     lost = np.random.default_rng([15, seed]).random((40, 6)) < 0.3
     localised = story(wandering([15, seed], 5, 40), heard=lambda k, i: not lost[k, i])
     assert localised[20:].any(axis=0).all()
+
+
+def heard_late(ticks, station, network, seed=0, localiser=None):
+    """What the agent of this station says over a bad network, tick by tick."""
+    localiser = localiser or Localiser(AgentConfig(), Fleet(mavs=len(ticks[0].truth)), station)
+    arrived = links.faulty(np.random.default_rng([99, seed]), ticks, station, **network)
+    for k, (tick, packets) in enumerate(zip(ticks, arrived, strict=True)):
+        odometry, sets = {station: tick.odometry[station]}, [links.untold(tick, station)]
+        for sent in packets:
+            of = ticks[sent.tick]
+            if sent.tick < k and sent.odometry:
+                localiser.late(sent.tick, sent.mav, odometry=of.odometry[sent.mav])
+            elif sent.tick < k:
+                localiser.late(sent.tick, sent.mav, spherical=of.sets[sent.mav])
+            elif sent.odometry:
+                odometry[sent.mav] = of.odometry[sent.mav]
+            else:
+                sets.append(links.untold(of, sent.mav))
+        yield localiser.tick(k, odometry, sorted(sets, key=lambda one: (one.station != station, one.station)))
+
+
+NETWORKS = {
+    "100 ms late": {"delay": 1},
+    "sets lost and late": {"loss": 0.3, "delay": 1, "readings": False},
+    "readings lost and late": {"loss": 0.3, "delay": 1, "sets": False},
+    "lost, late, out of order": {"loss": 0.3, "delay": 2, "jitter": 1},
+    "500 ms late": {"delay": 5},
+}
+
+
+@pytest.mark.parametrize("network", NETWORKS.values(), ids=NETWORKS)
+@pytest.mark.parametrize(("make", "seed"), [(hovering, 0), (wandering, 1), (hovering, 2)])
+def test_over_a_bad_network_a_team_is_localised_in_2500_ms_and_stays_so(network, make, seed):
+    ticks = make([20, seed], 7, 60)
+    station = 1 + 2 * seed
+    found = list(heard_late(ticks, station, network, seed))
+    localised = np.array([each.beliefs.states == LOCALISED for each in found])
+    assert localised[25:].all()
+    off = np.array([np.abs(errors(tick, each, station)) for tick, each in zip(ticks, found, strict=True)])
+    assert off[localised][:, :3].max() < 0.5
+    assert off[localised][:, 3].max() < 0.15
+    assert np.sqrt((off[35:, :, :3] ** 2).sum(2).mean()) < 0.12
+
+
+def test_with_half_lost_in_bursts_it_takes_longer():
+    ticks = wandering(21, 5, 90)
+    found = list(heard_late(ticks, 2, {"loss": 0.5, "burst": 8}, 1))
+    localised = np.array([each.beliefs.states == LOCALISED for each in found])
+    assert localised.any(axis=0).all()
+    for tick, each, known in zip(ticks, found, localised, strict=True):
+        assert np.abs(errors(tick, each, 2)[known][:, :3]).max() < 0.5
+
+
+@pytest.mark.parametrize("network", [*NETWORKS.values(), {"loss": 0.5, "burst": 10}], ids=[*NETWORKS, "bursts"])
+def test_what_is_late_or_lost_is_no_wrong_identity(network, monkeypatch):
+    dismissed = []
+    monkeypatch.setattr(Localiser, "_dismiss", lambda self, mavs, anew: dismissed.append(mavs))
+    ticks = wandering(22, 5, 120)
+    list(heard_late(ticks, 1, network))
+    assert dismissed == []
+
+
+@pytest.mark.parametrize("delay", [0, 3, 5])
+def test_a_restart_is_noticed_and_repaired_however_late_its_data(delay):
+    ticks = restarted(hovering(23, 5, 90), 3, 30, FAR)
+    found = list(heard_late(ticks, 1, {"delay": delay}))
+    localised = np.array([each.beliefs.states == LOCALISED for each in found])
+    assert localised[29 + delay].all()
+    assert not localised[30 + delay, 2]
+    assert localised[30 + delay, [0, 1, 3, 4]].all()
+    assert localised[60:].all()
+    assert np.abs(errors(ticks[-1], found[-1])).max() < 0.3
+
+
+def nees_when_admitted(seed, network, mavs=5):
+    """Per dimension, mean over those taken in, in the tick of the commit; after all data has come."""
+    ticks, station = wandering([24, seed], mavs, 40), 1
+    localiser = Localiser(AgentConfig(), Fleet(mavs=mavs), station)
+    commits = []
+    admit = localiser._history.admit
+    localiser._history.admit = lambda tick, mavs, y, Sigma: (
+        commits.append((tick, mavs, y, Sigma)),
+        admit(tick, mavs, y, Sigma),
+    )
+    next(None for _ in heard_late(ticks, station, network, seed, localiser) if commits)
+    tick, newcomers, y, Sigma = commits[0]
+    own, truth = ticks[tick].odometry[station], ticks[tick].truth
+    true = compose(np.tile(own, (mavs, 1)), relative_pose(np.tile(truth[station - 1], (mavs, 1)), truth))
+    values = []
+    for mav in newcomers:
+        e, rows = y[mav - 1] - true[mav - 1], slice(4 * mav - 4, 4 * mav)
+        e[3] = wrap(e[3])
+        values.append(e @ np.linalg.solve(Sigma[rows, rows], e) / 4)
+    return float(np.mean(values))
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize("network", [NETWORKS["lost, late, out of order"], NETWORKS["500 ms late"]])
+def test_over_a_bad_network_too_it_begins_as_sure_as_it_may_be(network):
+    """Two-sided 99 % of chi-square with 12 teams of 16 dimensions: 0.75 .. 1.28."""
+    assert 0.75 < np.mean([nees_when_admitted(seed, network) for seed in range(12)]) < 1.28
 
 
 def nees(seed, config=None, mavs=4):

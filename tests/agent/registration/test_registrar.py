@@ -20,27 +20,36 @@ class Station:
     def __init__(self, mavs, station=1, work=None):
         config = AgentConfig() if work is None else AgentConfig(registration=Registration(work_per_mav=work))
         self.mavs, self.station, self.registrar = mavs, station, Registrar(config, mavs, 10.0)
-        self.team, self.last = None, {}
+        self.team, self.since, self.readings = None, 0, {}  # as it was at that tick; by tick and index
         self.commits = []
 
     def hear(self, k, odometry, sets, late=()):
-        for tick, index, spherical in late:
-            self.registrar.late(tick, index, spherical)
+        for tick, index, what in late:
+            self.registrar.late(tick, index, **what)
+            if "odometry" in what:
+                self.readings[tick][index] = what["odometry"]
         self.registrar.tick(k, odometry, sets)
+        self.readings[k] = dict(odometry)
         if self.team is None:
-            self.team = alone(odometry[0], self.mavs)
-        for j in np.flatnonzero(self.team.placed):
-            if j in odometry and j in self.last:
-                self.team.y[j] = carried(self.team.y[j], self.last[j], odometry[j])
-        self.last |= odometry
-        commit = self.registrar.work_on(self.team)
+            self.team, self.since = alone(odometry[0], self.mavs), k
+        self.registrar.advance(self.team.placed)
+        newest = self.registrar.newest
+        commit = self.registrar.work_on(self.team if newest < self.since else self.team_at(newest))
         if commit is not None:
-            self.commits.append((k, commit))
+            self.commits.append((commit.tick, commit, k))
             placed = self.team.placed | np.isin(np.arange(self.mavs), commit.mavs)
             known = np.repeat([*placed[1:], True], 4)
             y = np.where([[each] for each in (*placed, True)], commit.y, 0)
-            self.team = Team(y, np.where(known[:, None] & known, commit.P, 0), placed)
+            self.team, self.since = Team(y, np.where(known[:, None] & known, commit.P, 0), placed), commit.tick
         return commit
+
+    def team_at(self, tick):
+        y = self.team.y.copy()
+        for j in np.flatnonzero(self.team.placed):
+            there, here = self.readings[self.since].get(j), self.readings[tick].get(j)
+            if there is not None and here is not None:
+                y[j] = carried(y[j], there, here)
+        return Team(y, self.team.P, self.team.placed)
 
 
 def registered(ticks, station=1, work=None, lost=lambda k, i: False, unread=lambda k, i: False, delay=0, first=0):
@@ -55,7 +64,9 @@ def registered(ticks, station=1, work=None, lost=lambda k, i: False, unread=lamb
             sets = {0: sets[0]}
             if k >= delay:
                 before = heard(ticks[k - delay], station)[1]
-                late = [(first + k - delay, i, z) for i, z in before.items() if i and not lost(k - delay, i)]
+                late = [
+                    (first + k - delay, i, {"spherical": z}) for i, z in before.items() if i and not lost(k - delay, i)
+                ]
         own.hear(first + k, odometry, sets, late)
         if own.team.placed.all():
             break
@@ -64,7 +75,7 @@ def registered(ticks, station=1, work=None, lost=lambda k, i: False, unread=lamb
 
 def rightly(own, ticks, first=0):
     """Whether everything that was committed was right; the same tolerance as for a wrong identity."""
-    for k, commit in own.commits:
+    for k, commit, _ in own.commits:
         off = commit.y[commit.mavs] - true_poses(ticks[k - first], own.station)[commit.mavs]
         if np.linalg.norm(off[:, :3], axis=1).max() > 0.5 or np.abs(wrap(off[:, 3])).max() > 0.15:
             return False
@@ -103,8 +114,8 @@ def test_in_a_regular_circle_nobody_is_ever_localised(mavs, seed):
 
 def test_the_same_inputs_give_the_same_bits():
     one, other = (registered(hovering(3, 5, 15)) for _ in range(2))
-    assert [k for k, _ in one.commits] == [k for k, _ in other.commits]
-    for (_, a), (_, b) in zip(one.commits, other.commits, strict=True):
+    assert [k for k, *_ in one.commits] == [k for k, *_ in other.commits]
+    for (_, a, _), (_, b, _) in zip(one.commits, other.commits, strict=True):
         assert a.y.tobytes() == b.y.tobytes()
         assert a.P.tobytes() == b.P.tobytes()
 
@@ -130,7 +141,7 @@ def test_sets_may_be_two_ticks_late(seed):
     own = registered(ticks, delay=2)
     assert own.team.placed.all()
     assert rightly(own, ticks)
-    assert own.commits[-1][0] >= LEAST_TICKS + 1
+    assert own.commits[-1][2] >= LEAST_TICKS + 1
 
 
 def test_what_is_committed_is_where_they_are_now_though_the_sets_are_late():
@@ -193,14 +204,14 @@ def test_after_a_gap_it_begins_anew():
 def test_ticks_may_be_counted_from_anywhere():
     ticks = hovering(12, 5, 15)
     own, far = registered(ticks), registered(ticks, first=10**6)
-    assert [k + 10**6 for k, _ in own.commits] == [k for k, _ in far.commits]
+    assert [k + 10**6 for k, *_ in own.commits] == [k for k, *_ in far.commits]
     assert own.commits[-1][1].y.tobytes() == far.commits[-1][1].y.tobytes()
 
 
 def test_sets_of_ticks_that_nobody_knows_any_more_do_no_harm():
     ticks, own = hovering(13, 5, 15), Station(5)
     for k, tick in enumerate(ticks):
-        own.hear(k, *heard(tick), late=[(k - 100, 2, np.ones((3, 3))), (k + 5, 2, np.ones((3, 3)))])
+        own.hear(k, *heard(tick), late=[(k + off, 2, {"spherical": np.ones((3, 3))}) for off in (-100, 5)])
     assert own.team.placed.all()
     assert rightly(own, ticks)
 
@@ -211,8 +222,9 @@ def joins(ticks, mavs):
     P = np.diag(np.tile([1e-4, 1e-4, 1e-4, 1e-5], mavs))
     for k, tick in enumerate(ticks):
         registrar.tick(k, *heard(tick))
-        truth = true_poses(tick)
-        commit = registrar.work_on(Team(np.vstack([truth, np.zeros(4)]), P, np.arange(mavs) < mavs - 1))
+        truth, placed = true_poses(tick), np.arange(mavs) < mavs - 1
+        registrar.advance(placed)
+        commit = registrar.work_on(Team(np.vstack([truth, np.zeros(4)]), P, placed))
         if commit is not None:
             off = commit.y[mavs - 1] - truth[mavs - 1]
             assert commit.mavs.tolist() == [mavs - 1]
@@ -264,6 +276,7 @@ def test_hypotheses_that_place_one_of_the_team_elsewhere_are_dropped():
     def places_of_1(k, placed):
         registrar.tick(k, *heard(ticks[k]))
         truth = true_poses(ticks[k])
+        registrar.advance(np.arange(mavs) < placed)
         registrar.work_on(Team(np.vstack([truth, np.zeros(4)]), P, np.arange(mavs) < placed))
         found = registrar.situation(list(range(1, mavs + 1)), np.arange(mavs) < placed)
         return np.linalg.norm(found.poses[found.placed[:, 1], 1, :3] - truth[1, :3], axis=1)

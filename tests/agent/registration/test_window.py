@@ -80,3 +80,30 @@ def test_carried_goes_with_the_odometry_frame(seed):
     np.testing.assert_allclose(found[:, :3], expected[:, :3], atol=1e-12)
     np.testing.assert_allclose(wrap(found[:, 3] - expected[:, 3]), 0, atol=1e-12)
     np.testing.assert_allclose(relative_pose(carried(found, here, there), poses), 0, atol=1e-12)
+
+
+def test_what_is_late_is_put_into_its_tick():
+    window = Window(2, 10)
+    for k in range(4):
+        window.add(k, {0: np.zeros(4)} | ({1: np.full(4, 0.1 * k)} if k < 2 else {}))
+    frame = window.at(2)
+    np.testing.assert_allclose(frame.odometry[1], 0.2)  # a guess
+    frame.put_odometry(1, np.full(4, 0.5))
+    window.settle(frame)
+    assert frame.read.all()
+    np.testing.assert_array_equal(frame.odometry[1], np.full(4, 0.5))
+    window.settle(window.at(3))  # goes on from there
+    np.testing.assert_allclose(window.at(3).odometry[1], 0.9)
+    assert not window.at(3).read[1]
+
+
+def test_what_was_lost_lies_between_the_readings_before_and_after():
+    window = Window(2, 10)
+    for k in range(6):
+        window.add(k, {0: np.zeros(4)} | ({1: np.array([0.1 * k * k, 0, 0, 3.0 + 0.1 * k])} if k in (0, 1, 5) else {}))
+    window.at(5).odometry[1, 3] -= 2 * np.pi
+    for k in (2, 3, 4):
+        window.settle(window.at(k))
+        assert window.at(k).read[1]
+        np.testing.assert_allclose(window.at(k).odometry[1, :3], [0.1 + 0.6 * (k - 1), 0, 0])
+        assert wrap(window.at(k).odometry[1, 3] - 3.0 - 0.1 * k) == pytest.approx(0, abs=1e-9)

@@ -70,31 +70,70 @@ def test_logging_is_bounded_under_a_flood_of_keys(caplog):
     assert len(caplog.records) <= 1000
 
 
+def stamp(tick):
+    return tick * 10**8
+
+
 def test_a_tick_is_complete_with_everybodys_data():
-    neighbours = Neighbours(2)
-    neighbours.put(5, 1, odometry=np.zeros(4), detections=np.zeros((0, 3)))
-    neighbours.put(5, 2, odometry=np.ones(4))
+    neighbours = Neighbours(2, 10.0, lag=10)
+    neighbours.put(stamp(5), 1, odometry=np.zeros(4), detections=np.zeros((0, 3)))
+    neighbours.put(stamp(5), 2, odometry=np.ones(4))
     assert not neighbours.complete(5)
-    neighbours.put(5, 2, detections=np.zeros((1, 3)))
+    neighbours.put(stamp(5), 2, detections=np.zeros((1, 3)))
     assert neighbours.complete(5)
     tick = neighbours.take(5)
     assert (set(tick.odometry), set(tick.detections)) == ({1, 2}, {1, 2})
 
 
-def test_late_and_repeated_data_is_counted_and_ignored():
-    neighbours = Neighbours(2)
-    neighbours.put(5, 1, odometry=np.zeros(4))
-    neighbours.put(5, 1, odometry=np.ones(4))
-    assert neighbours.take(5).odometry[1].sum() == 0
-    assert not neighbours.put(5, 2, odometry=np.zeros(4))
-    assert not neighbours.put(4, 2, detections=np.zeros((0, 3)))
-    assert neighbours.put(6, 2, detections=np.zeros((0, 3)))
-    assert (neighbours.duplicate, neighbours.late) == (1, 2)
+def test_late_data_is_of_use_within_the_lag_and_counted_beyond():
+    neighbours = Neighbours(2, 10.0, lag=10)
+    assert neighbours.put(stamp(20), 2, odometry=np.zeros(4)) is None  # not late
+    neighbours.take(20)
+    assert neighbours.put(stamp(20), 2, detections=np.zeros((0, 3))) == 20
+    assert neighbours.put(stamp(11), 2, odometry=np.zeros(4)) == 11  # in tick 21 it will be 10 ticks late
+    assert neighbours.late == 0
+    assert neighbours.put(stamp(10), 2, odometry=np.zeros(4)) is None
+    assert (neighbours.late, neighbours.duplicate, neighbours.unbelieved) == (1, 0, 0)
 
 
-def test_what_waits_is_bounded():
-    neighbours = Neighbours(2)
-    for stamp in range(10_000, 0, -1):
-        neighbours.put(stamp, 2, odometry=np.zeros(4))
-    assert len(neighbours._ticks) == AHEAD
-    assert 1 in neighbours._ticks
+@pytest.mark.parametrize("late", [False, True])
+def test_repetitions_are_counted_and_the_first_holds(late):
+    neighbours = Neighbours(2, 10.0, lag=10)
+    if late:
+        neighbours.take(7)
+    assert neighbours.put(stamp(5), 1, odometry=np.zeros(4)) == (5 if late else None)
+    assert neighbours.put(stamp(5), 1, odometry=np.ones(4)) is None
+    assert neighbours.put(stamp(5), 1, odometry=np.ones(4)) is None
+    assert neighbours.duplicate == 2
+    assert late or neighbours.take(5).odometry[1].sum() == 0
+
+
+@pytest.mark.parametrize("off", [stamp(AHEAD + 1), stamp(10**6), 3 * 10**7, 2**61])
+def test_who_is_far_ahead_or_off_the_beat_is_not_believed(off):
+    neighbours = Neighbours(2, 10.0, lag=10)
+    neighbours.take(0)
+    assert neighbours.put(off, 2, odometry=np.zeros(4)) is None
+    assert neighbours.unbelieved == 1
+    neighbours.put(stamp(AHEAD) + 10**7, 2, odometry=np.zeros(4))  # a little off the beat is on it
+    assert neighbours.unbelieved == 1
+
+
+def test_own_time_goes_forward_only():
+    neighbours = Neighbours(2, 10.0, lag=10)
+    assert neighbours.expects(stamp(0))
+    neighbours.take(20)
+    assert [neighbours.expects(stamp(k)) for k in (19, 20, 21, 1000)] == [False, False, True, True]
+    assert not neighbours.expects(stamp(21) + 4 * 10**7)
+
+
+@pytest.mark.parametrize("began", [False, True])
+def test_what_waits_is_bounded_whatever_is_sent(began):
+    rng, neighbours = np.random.default_rng(0), Neighbours(2, 10.0, lag=10)
+    if began:
+        neighbours.take(100)
+    for number in [*range(10_000, 0, -1), *rng.integers(-(10**9), 10**9, 10_000).tolist()]:
+        neighbours.put(stamp(number), 2, odometry=np.zeros(4))
+        assert len(neighbours._ticks) <= AHEAD + 11
+    if began:
+        assert neighbours.put(stamp(101), 1, odometry=np.zeros(4)) is None
+        assert set(neighbours.take(101).odometry) == {1, 2}
