@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: run test check bench decidable lock clean
+.PHONY: run test check bench decidable fuzz lock clean
 .DEFAULT_GOAL := help
 
 help:
@@ -12,6 +12,7 @@ help:
 	@echo "make check  import contracts, formatting, types and tests"
 	@echo "make bench  time one station update against the plain one, N = 3..9 (runs/bench.json)"
 	@echo "make decidable  measure which starts can be decided (deploy/pictures/decidable.png)"
+	@echo "make fuzz   100,000 hostile messages to one agent (runs/fuzz.json)"
 	@echo "make lock   renew requirements.lock and requirements-test.lock from pyproject.toml"
 
 run: .venv/ready
@@ -32,6 +33,9 @@ bench: .venv/ready-to-test
 
 decidable: .venv/ready-to-test
 	$(BIN)/python -m tests.bench.decidable
+
+fuzz: .venv/ready-to-test
+	$(BIN)/python -m tests.bench.fuzz
 
 .venv/uv:
 	$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed, this is " + sys.version.split()[0]) if sys.version_info < (3, 11) else None'

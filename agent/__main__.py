@@ -22,10 +22,9 @@ def main(wrapped: Callable[[ZenohBus, Start], Bus] = lambda bus, _: bus) -> int:
         print(f"agent: {error}", file=sys.stderr)
         return 2
     try:
-        with ZenohBus(start.network) as bus:
+        with process.on_the_bus(start) as bus:
             agent = Agent(chosen, start.fleet, start.mav, start.epoch, wrapped(bus, start))
-            process.meet(bus, start.everyone, start.epoch)
-            agent.run()
+            agent.run(process.join(start, bus, witness=True))
     except BusError as error:
         logging.getLogger("agent").error("%s", error)
         return 1

@@ -5,6 +5,7 @@ estimates, so nothing is counted twice). It closes when every peer's data of the
 long that takes, unless the bus says that nothing more will come, in real time after a short wait.
 """
 
+import logging
 from collections.abc import Iterable
 
 import numpy as np
@@ -14,15 +15,23 @@ from agent.controller.hold import Hold
 from agent.estimator.estimator import Beliefs
 from agent.estimator.joint_update import DetectionSet
 from agent.interface import clock, messages, topics
-from agent.interface.bus import Bus, Packet
+from agent.interface.bus import Bus, Packet, SeveralInboxes
+from agent.interface.bus import Inbox as BusInbox
 from agent.interface.fleet import Fleet
 from agent.interface.frames import Array
+from agent.interface.presence import Presence
 from agent.interface.topics import Topic
 from agent.localiser import Localiser
 from agent.registration.reasons import Situation
 from agent.sensing import detections, vio
-from agent.sensing.inbox import Inbox
+from agent.sensing.inbox import AT_ONCE, Inbox
+from agent.sensing.liveness import Liveness
 from agent.sensing.neighbours import Neighbours
+from agent.sensing.own import OwnSensors
+
+log = logging.getLogger("agent")
+
+SENSOR_POLL_S = 0.002  # real time: between looks for its own sensors
 
 _UPPER = np.ravel_multi_index(np.triu_indices(4), (4, 4))  # of a flattened covariance
 
@@ -35,11 +44,17 @@ class Agent:
         self._patience_s = config.wait_for_peers_s if fleet.realtime else None
         self._localiser = Localiser(config, fleet, mav)
         self._controller = Hold()
-        self._inbox = Inbox(mav, fleet.mavs, epoch)
+        self._inbox = Inbox(mav, fleet.mavs, epoch, fleet.rate_hz)
         self._neighbours = Neighbours(fleet.mavs, fleet.rate_hz, config.lag_ticks(fleet.rate_hz))
+        at_least_s = 3 / fleet.rate_hz
+        stale_after_s, gone_after_s = max(at_least_s, config.stale_after_s), max(at_least_s, config.gone_after_s)
+        self._liveness = Liveness(mav, fleet.mavs, stale_after_s, gone_after_s)
+        self._presence: Presence | None = None
         self._stations = [mav, *(other for other in fleet.ids if other != mav)]  # itself first
-        self._vio: dict[int, vio.Levelled] = {}  # by stamp
-        self._sightings: dict[int, messages.Sightings] = {}
+        self._own = OwnSensors()
+        self._hold_after_s, self._holding = max(at_least_s, config.hold_after_s), False
+        self._sensed_s = clock.now_s()  # when its own sensors last began a tick
+        self._newest_ns = 0  # the stamp of that
         self._open_ns: int | None = None  # the tick that waits for peers
         self._deadline_s = 0.0
         self._ended_ns: int | None = None
@@ -47,17 +62,30 @@ class Agent:
         self.done = False
         self._seq: dict[Topic, int] = {}
         self._sent = self._sent_bytes = 0
-        self._sensors = bus.subscribe(f"sensor/{mav}/*")
-        self._air = bus.subscribe("air/*/*")
+        if fleet.realtime:  # a queue for each, so that who floods one loses only what is his
+            own = [topics.key(topic, mav) for topic in (topics.VIO, topics.SIGHTINGS, topics.SURVEY, topics.END)]
+            self._sensors: BusInbox = SeveralInboxes([bus.subscribe(key, AT_ONCE) for key in own], SENSOR_POLL_S)
+            peers = [f"air/{other}/*" for other in fleet.ids if other != mav]
+            self._air: BusInbox = SeveralInboxes([bus.subscribe(pattern, AT_ONCE) for pattern in peers])
+        else:
+            self._sensors = bus.subscribe(f"sensor/{mav}/*")
+            self._air = bus.subscribe("air/*/*")
 
-    def run(self) -> None:
-        """Flies until the end of the run is announced."""
+    def run(self, presence: Presence | None = None) -> None:
+        """Flies until the end of the run is announced.
+
+        Raises:
+            AlreadyHere: another agent has the same number, and the better claim to it.
+        """
+        self._presence, self._sensed_s = presence, clock.now_s()
         while not self.done:
             self.advance()
             if self.done:
                 return
+            if presence is not None:
+                presence.look()
             if self._open_ns is None:
-                self._receive(self._sensors.wait(None))
+                self._await_sensors()
             elif self._patience_s is None:
                 packets = self._air.wait(None)
                 self._receive(packets)
@@ -80,6 +108,15 @@ class Agent:
             self._publish_status(self._ended_ns, 0, (), final=True)
             self.done = True
 
+    def _await_sensors(self) -> None:
+        """In lockstep for ever: simulated time stands still as well. In real time it holds, and says so, meanwhile."""
+        self._receive(self._sensors.wait(self._hold_after_s if self._patience_s is not None else None))
+        silent_s = clock.now_s() - self._sensed_s
+        if self._patience_s is not None and not self._holding and silent_s > self._hold_after_s:
+            self._holding = True
+            log.warning("nothing from its own sensors for %.1f s: holding", silent_s)
+            self._publish_status(self._newest_ns, 0, ())
+
     def _receive(self, packets: Iterable[Packet]) -> None:
         for packet in packets:
             received = self._inbox.read(packet)
@@ -88,6 +125,7 @@ class Agent:
             message = received.message
             match message:
                 case messages.Odometry():
+                    self._liveness.heard(received.mav, message.stamp_ns)
                     pose = messages.floats(message.pose)
                     late = self._neighbours.put(message.stamp_ns, received.mav, odometry=pose)
                     if late is not None:
@@ -98,9 +136,9 @@ class Agent:
                     if late is not None:
                         self._localiser.late(late, received.mav, spherical=spherical)
                 case messages.Vio():
-                    self._vio[message.stamp_ns] = vio.read(message)
+                    self._own.put_vio(message.stamp_ns, vio.read(message))
                 case messages.Sightings():
-                    self._sightings[message.stamp_ns] = message
+                    self._own.put_sightings(message)
                 case messages.Survey():
                     frames = messages.floats(message.poses).reshape(-1, 4)
                     self._localiser.start(frames, message.position_sigma_m, message.yaw_sigma_rad)
@@ -111,15 +149,18 @@ class Agent:
         """Begins the oldest tick whose VIO reading and detection set are both here, and shares them."""
         if self._open_ns is not None:
             return False
-        both = self._vio.keys() & self._sightings.keys()
-        # Not what is over: a repetition, or a clock that has jumped back.
-        stamp_ns = min((stamp for stamp in both if self._neighbours.expects(stamp)), default=None)
-        if stamp_ns is None:
+        reading = self._own.take()
+        while reading is not None and not self._neighbours.expects(reading.stamp_ns):
+            reading = self._own.take()  # not what is over, or off the beat
+        if reading is None:
             return False
-        levelled = self._vio[stamp_ns]
-        spherical = detections.levelled(self._sightings[stamp_ns], levelled.tilt)
-        self._vio = {stamp: kept for stamp, kept in self._vio.items() if stamp > stamp_ns}
-        self._sightings = {stamp: kept for stamp, kept in self._sightings.items() if stamp > stamp_ns}
+        stamp_ns, levelled = reading.stamp_ns, reading.levelled
+        if self._holding:
+            self._holding = False
+            log.warning("its own sensors are back after %.1f s", clock.now_s() - self._sensed_s)
+        self._sensed_s, self._newest_ns = clock.now_s(), stamp_ns
+        self._inbox.next_tick()
+        spherical = detections.levelled(reading.sightings, levelled.tilt)
         block = messages.spherical_block(spherical)
         self._publish(topics.ODOMETRY, messages.Odometry, stamp_ns, levelled.pose.tobytes())
         self._publish(topics.DETECTIONS, messages.Detections, stamp_ns, block)
@@ -140,6 +181,7 @@ class Agent:
         ):
             return False
         self._open_ns = None
+        self._liveness.look(stamp_ns, None if self._presence is None else self._presence.has_mav)
         tick = self._neighbours.take(number)
         began_us = clock.now_us()
         sets = [
@@ -203,6 +245,8 @@ class Agent:
             station_us,
             0,  # ticks are the world's
             final,
+            bytes(self._liveness.states),
+            self._holding,
         )
 
     def _publish(self, topic: Topic, kind: type[messages.Header], stamp_ns: int, *fields: object) -> None:

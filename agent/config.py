@@ -48,17 +48,27 @@ class AgentConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     localised_sigma_rad: float = 0.05  # ... and this relative yaw uncertainty
     lag_s: float = 1.0  # what comes later than this after its time is dropped; what comes sooner is applied at its time
     wait_for_peers_s: float = 0.03  # real time only: how long a tick waits for the peers' packets
+    stale_after_s: float = 1.0  # a neighbour is stale when nothing was heard of it for so long (at least 3 ticks) ...
+    gone_after_s: float = 3.0  # ... and gone after so long (or when its process is)
+    hold_after_s: float = 1.0  # real time only: without a reading of its own sensors for so long, an agent holds
 
     def __post_init__(self) -> None:
         for name, value, unit in (
             ("localised_sigma_m", self.localised_sigma_m, "m"),
             ("localised_sigma_rad", self.localised_sigma_rad, "rad"),
             ("wait_for_peers_s", self.wait_for_peers_s, "s"),
+            ("stale_after_s", self.stale_after_s, "s"),
+            ("gone_after_s", self.gone_after_s, "s"),
+            ("hold_after_s", self.hold_after_s, "s"),
         ):
             if not 0 < value < 100:
                 raise ValueError(f"{name} = {value}: expected between 0 and 100 {unit}, both excluded")
         if not 0 <= self.lag_s <= 10:
             raise ValueError(f"lag_s = {self.lag_s}: expected 0 to 10 s")
+        if self.gone_after_s < self.stale_after_s:
+            raise ValueError(
+                f"gone_after_s = {self.gone_after_s}: expected stale_after_s = {self.stale_after_s} or more"
+            )
 
     def lag_ticks(self, rate_hz: float) -> int:
         """The lag in ticks."""

@@ -26,6 +26,9 @@ class MavProgress(msgspec.Struct, frozen=True):
     reason: str  # why that one is not localised, in words; "" if none was given
     localised: int  # how many other MAVs it calls localised
     error_m: float | None  # root mean square, over those it calls localised, of their relative positions; None: unknown
+    stale: tuple[int, ...] = ()  # neighbours of which it has heard nothing for some time
+    gone: tuple[int, ...] = ()  # neighbours that are not there any more
+    holding: bool = False  # its own sensors are silent
 
 
 class Progress(msgspec.Struct, frozen=True):
@@ -43,6 +46,8 @@ class Watch:
         self._estimates: dict[int, bytes] = {}
         self._registration_keys = {topics.key(topics.REGISTRATION, mav): mav for mav in fleet.ids}
         self._registrations: dict[int, bytes] = {}
+        self._status_keys = {topics.key(topics.STATUS, mav): mav for mav in fleet.ids}
+        self._statuses: dict[int, bytes] = {}
 
     def see(self, packet: Packet) -> None:
         if (mav := self._truth_keys.get(packet.key)) is not None:
@@ -51,6 +56,8 @@ class Watch:
             self._estimates[mav] = packet.payload
         elif (mav := self._registration_keys.get(packet.key)) is not None:
             self._registrations[mav] = packet.payload
+        elif (mav := self._status_keys.get(packet.key)) is not None:
+            self._statuses[mav] = packet.payload
 
     def now(self) -> Progress:
         truths: dict[int, Array] = {}  # by stamp, (N, 4)
@@ -60,7 +67,7 @@ class Watch:
                 if truth is not None:
                     pose = pose_of(np.concatenate([floats(truth.position), floats(truth.quaternion)]))
                     truths.setdefault(truth.stamp_ns, np.full((self._fleet.mavs, 4), np.nan))[mav - 1] = pose
-        mavs = tuple(self._of(mav, truths) for mav in self._fleet.ids)
+        mavs = tuple(self._with_status(self._of(mav, truths)) for mav in self._fleet.ids)
         return Progress(max(truths, default=0) / 1e9, self._fleet.duration_s, mavs)
 
     def _of(self, mav: int, truths: dict[int, Array]) -> MavProgress:
@@ -81,6 +88,16 @@ class Watch:
             error_m = value if np.isfinite(value) else None
         number = None if least.mav is None else least.mav + 1
         return MavProgress(mav, messages.STATES[least.state], number, reason, len(localised), error_m)
+
+    def _with_status(self, progress: MavProgress) -> MavProgress:
+        status = self._decoded(messages.Status, self._statuses.get(progress.id))
+        if status is None:
+            return progress
+        stale, gone = (
+            tuple(index + 1 for index, known in enumerate(status.neighbours) if known == state)
+            for state in (messages.STALE, messages.GONE)
+        )
+        return msgspec.structs.replace(progress, stale=stale, gone=gone, holding=status.holding)
 
     def _decoded(self, kind: type[messages.M], payload: bytes | None) -> messages.M | None:
         if payload is None:

@@ -12,8 +12,8 @@ from pathlib import Path
 import msgspec
 
 from agent.interface import clock, messages
-from agent.interface.bus import BusError, Inbox, Packet, ZenohBus
-from agent.interface.process import Start, arguments, meet, stop_on_signals
+from agent.interface.bus import BusError, Inbox, Packet
+from agent.interface.process import Start, arguments, join, on_the_bus, stop_on_signals
 from deploy.log import LogWriter, Origin
 from deploy.peek import peek
 from deploy.progress import Watch
@@ -126,9 +126,9 @@ def main() -> int:
     stop_on_signals()  # nothing to wait for yet
     origin = Origin(start.epoch, "zenoh", (folder / "experiment.toml").read_text())
     try:
-        with ZenohBus(start.network) as bus, LogWriter(folder / "log.mcap", origin) as writer:
+        with on_the_bus(start) as bus, LogWriter(folder / "log.mcap", origin) as writer:
             inbox = bus.subscribe("**")
-            meet(bus, start.everyone, start.epoch)
+            join(start, bus)
             stopping, recorder = Stopping(), Recorder(start, writer)
             signal.signal(signal.SIGTERM, stopping)
             recorder.record(inbox, stopping)

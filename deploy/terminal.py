@@ -15,7 +15,7 @@ from rich.text import Text
 
 from agent.interface import clock, messages
 from agent.interface.messages import STATES
-from deploy.progress import Progress
+from deploy.progress import MavProgress, Progress
 
 PLAIN_S = 2.0  # between lines when nobody watches
 REASON_WIDTH = 60  # characters of such a line
@@ -96,6 +96,11 @@ def in_words(progress: Progress) -> str:
     if given:
         reason = textwrap.shorten(given[0].reason, REASON_WIDTH, placeholder=" ...")
         words += f" (MAV {given[0].id} about MAV {given[0].least_known}: {reason})"
+    for state in ("stale", "gone"):
+        called = sorted({other for mav in progress.mavs for other in getattr(mav, state)})
+        words += f", {state}: MAV {', '.join(map(str, called))}" if called else ""
+    holding = [str(mav.id) for mav in progress.mavs if mav.holding]
+    words += f", holding: MAV {', '.join(holding)}" if holding else ""
     errors = [mav.error_m for mav in progress.mavs if mav.error_m is not None]
     return f"{words}, largest relative error " + (f"{max(errors):.2f} m" if errors else "unknown")
 
@@ -103,19 +108,30 @@ def in_words(progress: Progress) -> str:
 def as_table(progress: Progress, title: str, caption: str) -> Table:
     """One row per agent; the reasons take the width that is left, if there are any."""
     table = Table(title=title, caption=caption, title_justify="left", caption_justify="left")
-    for heading in ("MAV", "state", "localised", "relative error"):
-        table.add_column(heading, justify="left" if heading == "state" else "right", no_wrap=True)
+    neighbours = any(mav.stale or mav.gone or mav.holding for mav in progress.mavs)
+    for heading in ("MAV", "state", "localised", "relative error", *(["neighbours"] if neighbours else [])):
+        table.add_column(heading, justify="left" if heading in ("state", "neighbours") else "right", no_wrap=True)
     reasons = any(mav.reason for mav in progress.mavs)
     if reasons:
         table.add_column("why")
     for mav in progress.mavs:
         error = "" if mav.error_m is None else f"{mav.error_m:.3f} m"
         cells: list[str | Text] = [str(mav.id), mav.state, f"{mav.localised} of {len(progress.mavs) - 1}", error]
+        if neighbours:
+            cells.append(neighbours_in_words(mav))
         if reasons:
             why = f"MAV {mav.least_known}: {mav.reason}" if mav.reason else ""
             cells.append(Text(why, no_wrap=True, overflow="ellipsis"))  # as it is: brackets are no mark-up
         table.add_row(*cells)
     return table
+
+
+def neighbours_in_words(mav: MavProgress) -> str:
+    """Who is not alive, as this MAV sees it: "3 gone, 4 5 stale"; and whether it holds itself."""
+    words = [
+        f"{' '.join(map(str, mavs))} {state}" for mavs, state in ((mav.gone, "gone"), (mav.stale, "stale")) if mavs
+    ]
+    return ", ".join((["holding"] if mav.holding else []) + words)
 
 
 class Pace:

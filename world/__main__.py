@@ -3,7 +3,7 @@
 import sys
 
 from agent.interface import process
-from agent.interface.bus import BusError, ZenohBus
+from agent.interface.bus import BusError
 from agent.interface.tables import BadExperiment
 from world.config import parse
 from world.world import World
@@ -14,9 +14,9 @@ def main() -> int:
     try:
         start = process.arguments("python -m world")
         config = parse(start.experiment.get("world", {}), start.fleet)
-        with ZenohBus(start.network) as bus:
+        with process.on_the_bus(start) as bus:
             world = World(config, start.fleet, start.epoch, bus)  # subscribes, so it comes before the others are met
-            process.meet(bus, start.everyone, start.epoch)
+            process.join(start, bus)
             if start.fleet.realtime:
                 world.run_realtime()
             else:

@@ -17,6 +17,8 @@ from world.recorded import RecordedFlights
 
 SENDER = 0  # the world among the MAVs 1..N
 
+STOOD_STILL_S = 1.0  # real time: so late, it was not slow but stopped
+
 log = logging.getLogger("world")
 
 
@@ -157,13 +159,18 @@ class World:
         """By the wall clock, waiting for nobody.
 
         A tick is late if it was published more than half a period after its time, or if some MAV had not answered it
-        when the next one was due. The last one, too, gets a period to be answered.
+        when the next one was due. The last one, too, gets a period to be answered. If this process was stopped, so was
+        simulated time: it does not hurry to make up for it.
         """
         self.begin()
         began_s, period_s = clock.now_s(), 1 / self._fleet.rate_hz
         while not self.finished:
             due_s = began_s + self._tick * period_s
-            punctual = clock.now_s() - due_s <= period_s / 2
+            behind_s = clock.now_s() - due_s
+            punctual = behind_s <= period_s / 2
+            if behind_s > max(STOOD_STILL_S, period_s):
+                log.warning("stood still for %.1f s; simulated time goes on from there", behind_s)
+                began_s, due_s = began_s + behind_s, due_s + behind_s
             self.publish_tick()
             self.step()
             clock.sleep_until(due_s + period_s)

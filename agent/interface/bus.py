@@ -6,6 +6,7 @@ and never holds up a publisher.
 """
 
 import json
+import math
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -14,10 +15,12 @@ from typing import Any, NamedTuple, Protocol, Self
 import zenoh
 
 from agent.interface import clock, topics
-from agent.interface.messages import Rejected
+from agent.interface.messages import MAX_BYTES, Rejected
 
-CAPACITY = 4096  # packets an inbox holds
+CAPACITY = 4096  # packets an inbox holds, unless it is asked for less
 POLL_S = 0.0005
+LEASE_S = 2.0  # real time: after so much silence a frozen or cut-off process counts as gone ...
+LOSSLESS_LEASE_S = 60.0  # ... in lockstep it is waited for
 
 
 class Packet(NamedTuple):
@@ -39,12 +42,23 @@ class Inbox(Protocol):
 class Bus(Protocol):
     def publish(self, key: str, payload: bytes) -> None: ...
 
-    def subscribe(self, pattern: str) -> Inbox:
-        """An inbox for keys that match; in the pattern * stands for one chunk and a final ** for any number."""
+    def subscribe(self, pattern: str, capacity: int = CAPACITY) -> Inbox:
+        """An inbox for keys that match; in the pattern * stands for one chunk and a final ** for any number.
+
+        Args:
+            capacity: how many packets it holds, if the bus is not lossless.
+        """
 
 
 class BusError(Exception):
     """The network could not be opened, or a process that was waited for did not come."""
+
+
+class Token(NamedTuple):
+    """A sign of life that has appeared, or is gone."""
+
+    key: str
+    present: bool
 
 
 @dataclass(frozen=True)
@@ -69,7 +83,7 @@ class ZenohBus:
         except zenoh.ZError as error:
             raise BusError(f"{network.name}: cannot open the network: {error}") from None
         self._publishers: dict[str, zenoh.Publisher] = {}
-        self._alive: list[zenoh.LivelinessToken] = []
+        self._alive: dict[str, zenoh.LivelinessToken] = {}
 
     def publish(self, key: str, payload: bytes) -> None:
         publisher = self._publishers.get(key)
@@ -82,14 +96,32 @@ class ZenohBus:
             )
         publisher.put(payload)
 
-    def subscribe(self, pattern: str) -> "ZenohInbox":
+    def subscribe(self, pattern: str, capacity: int = CAPACITY) -> "ZenohInbox":
         handlers = zenoh.handlers
-        handler: Any = handlers.FifoChannel(CAPACITY) if self.network.lossless else handlers.RingChannel(CAPACITY)
+        handler: Any = handlers.FifoChannel(CAPACITY) if self.network.lossless else handlers.RingChannel(capacity)
         return ZenohInbox(self._session.declare_subscriber(pattern, handler, allowed_origin=zenoh.Locality.REMOTE))
 
     def announce(self, key: str) -> None:
         """Declares a liveliness token: it vanishes with this process, however it ends."""
-        self._alive.append(self._session.liveliness().declare_token(key))
+        if key not in self._alive:
+            self._alive[key] = self._session.liveliness().declare_token(key)
+
+    def withdraw(self, key: str) -> None:
+        """Takes back what was announced, if it was."""
+        token = self._alive.pop(key, None)
+        if token is not None:
+            token.undeclare()  # type: ignore[no-untyped-call]
+
+    def tokens(self, pattern: str) -> "ZenohTokens":
+        """Those of other processes (and of this one) at keys that match: which there are, and then every change."""
+        return ZenohTokens(
+            self._session.liveliness().declare_subscriber(pattern, zenoh.handlers.FifoChannel(CAPACITY), history=True)
+        )
+
+    def present(self, pattern: str, timeout_s: float) -> list[Token]:
+        """The tokens that every process with a link to this one knows of, at this moment."""
+        replies = self._session.liveliness().get(pattern, zenoh.handlers.FifoChannel(CAPACITY), timeout=timeout_s)
+        return [Token(str(reply.ok.key_expr), True) for reply in replies if reply.ok is not None]
 
     def await_alive(self, keys: Iterable[str], timeout_s: float) -> None:
         """Returns when a token is seen at each of the keys.
@@ -98,18 +130,11 @@ class ZenohBus:
             BusError: some did not come in time; it names them.
         """
         missing, deadline = set(keys), clock.now_s() + timeout_s
-        with self._session.liveliness().declare_subscriber(
-            "**", zenoh.handlers.FifoChannel(CAPACITY), history=True
-        ) as tokens:
-            while missing:
-                sample = tokens.try_recv()
-                if sample is not None:
-                    if sample.kind == zenoh.SampleKind.PUT:
-                        missing.discard(str(sample.key_expr))
-                elif clock.now_s() > deadline:
+        with self.tokens("**") as tokens:
+            while missing := missing - {token.key for token in tokens.drain() if token.present}:
+                if clock.now_s() > deadline:
                     raise BusError(f"{self.network.name}: waited {timeout_s:g} s in vain for {sorted(missing)}")
-                else:
-                    clock.sleep_until(clock.now_s() + 0.01)
+                clock.sleep_until(clock.now_s() + 0.01)
 
     def close(self) -> None:
         self._session.close()  # type: ignore[no-untyped-call]
@@ -142,6 +167,42 @@ class ZenohInbox:
         return packets
 
 
+class SeveralInboxes:
+    """One inbox made of several, each with a queue of its own, which it asks in turn."""
+
+    def __init__(self, inboxes: list[Inbox], poll_s: float = POLL_S) -> None:
+        self._inboxes, self._poll_s = inboxes, poll_s
+
+    def drain(self) -> list[Packet]:
+        return [packet for inbox in self._inboxes for packet in inbox.drain()]
+
+    def wait(self, timeout_s: float | None) -> list[Packet]:
+        deadline = math.inf if timeout_s is None else clock.now_s() + timeout_s
+        while not (packets := self.drain()) and clock.now_s() < deadline:
+            clock.sleep_until(clock.now_s() + self._poll_s)
+        return packets
+
+
+class ZenohTokens:
+    """Leave it by `with`, or keep it as long as the bus."""
+
+    def __init__(self, subscriber: "zenoh.Subscriber[Any]") -> None:
+        self._subscriber = subscriber
+
+    def drain(self) -> list[Token]:
+        """What has changed since the last look, oldest first."""
+        changes: list[Token] = []
+        while (sample := self._subscriber.try_recv()) is not None:
+            changes.append(Token(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
+        return changes
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+
+
 class MemoryBus:
     """The twin: programs of one process, each with a bus of its own on one network.
 
@@ -169,7 +230,7 @@ class MemoryBus:
         for inbox in inboxes:
             inbox.packets.append(Packet(key, payload))
 
-    def subscribe(self, pattern: str) -> "MemoryInbox":
+    def subscribe(self, pattern: str, capacity: int = CAPACITY) -> "MemoryInbox":
         inbox = MemoryInbox()
         self._own.append(inbox)
         self._network.inboxes.append((pattern, inbox))
@@ -220,6 +281,7 @@ def _may_be_lost(key: str) -> bool:
 
 def _config(network: Network) -> zenoh.Config:
     """Explicit endpoints, no discovery, quick retries, bounded messages, no shared memory."""
+    lease_s = LOSSLESS_LEASE_S if network.lossless else LEASE_S
     settings: dict[str, Any] = {
         "mode": "peer",
         "namespace": network.namespace,
@@ -236,8 +298,8 @@ def _config(network: Network) -> zenoh.Config:
             "shared_memory": {"enabled": False},
             "unicast": {"open_timeout": 2000, "accept_timeout": 2000},
             "link": {
-                "tx": {"lease": 2000, "keep_alive": 4, "queue": {"size": {"data": 16}}},
-                "rx": {"max_message_size": 1 << 20},
+                "tx": {"lease": round(1000 * lease_s), "keep_alive": 4, "queue": {"size": {"data": 16}}},
+                "rx": {"max_message_size": 2 * MAX_BYTES},
             },
         },
         "adminspace": {"enabled": False},

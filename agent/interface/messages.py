@@ -22,6 +22,8 @@ SEARCHING, AMBIGUOUS, LOCALISED = range(3)
 STATES = ("searching", "ambiguous", "localised")
 AIR = ("odometry", "detections")  # what MAVs tell each other
 DEPLOY = 255  # sender of what deploy itself says
+ALIVE, STALE, GONE = range(3)
+NEIGHBOURS = ("alive", "stale", "gone")
 
 
 class Rejected(Exception):
@@ -166,10 +168,14 @@ class Status(Header, frozen=True):
     station_us: tuple[int, ...]  # of each station update; their mean, where several were done at once
     late_ticks: int = 0  # real time only, the world's: published more than half a period late, or not answered in time
     final: bool = False  # the last message of its sender
+    neighbours: bytes = b""  # an agent's, uint8 (N,): index into NEIGHBOURS; itself is alive
+    holding: bool = False  # an agent's: its own sensors are silent
 
     def __post_init__(self) -> None:
         if len(self.station_us) > 64:
             raise ValueError("station_us: expected at most 64")
+        if any(state >= len(NEIGHBOURS) for state in self.neighbours):
+            raise ValueError("neighbours: expected 0, 1 or 2")
 
 
 class End(Header, frozen=True):
@@ -257,31 +263,50 @@ def encode_fields(kind: type[Header], *fields: object) -> bytes:
     return _encoder.encode(fields)
 
 
-def decode(kind: type[M], payload: bytes, epoch: int) -> M:
-    """The message in this payload.
+def header(payload: bytes, epoch: int) -> Header:
+    """The header of a message of this run, without a look at the rest: cheap, so that rubbish is.
 
     Raises:
         Rejected: oversized, malformed, version, epoch, out-of-range (the first of these that holds).
     """
     if len(payload) > MAX_BYTES:
         raise Rejected("oversized", f"{len(payload)} bytes, at most {MAX_BYTES} are allowed")
+    try:
+        found = _header.decode(payload)
+    except _UNREADABLE as error:
+        raise Rejected("version" if _other_version(payload) else "malformed", str(error)) from None
+    if found.version != VERSION:
+        raise Rejected("version", f"{found.version}, this program speaks {VERSION}")
+    if found.epoch != epoch:
+        raise Rejected("epoch", f"{found.epoch}, this run is {epoch}")
+    if not (0 <= found.sender < 256 and 0 <= found.seq < 2**63 and abs(found.stamp_ns) < 2**62):
+        raise Rejected("malformed", f"sender {found.sender}, seq {found.seq} or stamp {found.stamp_ns} ns")
+    return found
+
+
+def decode(kind: type[M], payload: bytes, epoch: int) -> M:
+    """The message in this payload.
+
+    Raises:
+        Rejected: as `header` does; then malformed.
+    """
+    header(payload, epoch)
     decoder = _decoders.get(kind)
     if decoder is None:
         decoder = _decoders[kind] = msgspec.msgpack.Decoder(kind)
     try:
         message: M = decoder.decode(payload)
-    except (msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        reason = "version" if _other_version(payload) else "malformed"
-        raise Rejected(reason, str(error)) from None
-    if message.version != VERSION:
-        raise Rejected("version", f"{message.version}, this program speaks {VERSION}")
-    if message.epoch != epoch:
-        raise Rejected("epoch", f"{message.epoch}, this run is {epoch}")
-    if not (0 <= message.sender < 256 and 0 <= message.seq < 2**63 and abs(message.stamp_ns) < 2**62):
-        raise Rejected("malformed", f"sender {message.sender}, seq {message.seq} or stamp {message.stamp_ns} ns")
+    except _UNREADABLE as error:
+        raise Rejected("malformed", str(error)) from None
     return message
 
 
+class _AnyHeader(Header, frozen=True, forbid_unknown_fields=False):
+    """What follows is skipped."""
+
+
+_UNREADABLE = (msgspec.ValidationError, msgspec.DecodeError, UnicodeDecodeError, RecursionError)
+_header = msgspec.msgpack.Decoder(_AnyHeader)
 _encoder = msgspec.msgpack.Encoder()
 _decoders: dict[type[Header], msgspec.msgpack.Decoder[Any]] = {}
 

@@ -1,21 +1,25 @@
-"""How does a process of the swarm start and stop? Arguments, meeting the others, signals.
+"""How does a process of the swarm start and stop? Arguments, joining the others, signals.
 
 `deploy` starts every process the same way: the resolved experiment, a network file and the run's epoch.
 """
 
 import argparse
+import contextlib
 import json
 import logging
+import secrets
 import signal
 import sys
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
 import msgspec
 
-from agent.interface.bus import Network, ZenohBus
+from agent.interface.bus import BusError, Network, ZenohBus
 from agent.interface.fleet import Fleet
+from agent.interface.presence import RANDOM, Presence, meet, occupant
 from agent.interface.tables import BadExperiment, parse_table
 
 START_TIMEOUT_S = 60.0  # eight processes that import numpy at once on two busy cores took 25 s
@@ -27,9 +31,10 @@ class Start(NamedTuple):
     experiment: dict[str, Any]
     fleet: Fleet
     network: Network
-    everyone: tuple[str, ...]  # the names of all processes of the run, this one included
+    others: tuple[str, ...]  # the names of the processes that it waits for
     epoch: int
     mav: int  # 0 for a process that is not an agent
+    incarnation: int
 
 
 def arguments(program: str) -> Start:
@@ -43,16 +48,21 @@ def arguments(program: str) -> Start:
     parser.add_argument("--network", type=Path, required=True, help="endpoints of this process (JSON)")
     parser.add_argument("--epoch", type=int, required=True, help="number of the run; others' messages are ignored")
     parser.add_argument("--mav", type=int, default=0, help="which MAV this agent is, 1..N")
+    parser.add_argument("--incarnation", type=int, help="how many it has had before (default: a random number)")
+    parser.add_argument("--meet", help="names of the processes to wait for, as in world,mav_2 (default: everyone)")
     chosen = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
     experiment = tomllib.loads(chosen.experiment.read_text())
     fleet = parse_table(Fleet, experiment["fleet"], "fleet")
     place = json.loads(chosen.network.read_text())
-    everyone = tuple(place.pop("everyone"))
+    everyone = place.pop("everyone")
     network = msgspec.convert(place, Network)
+    names = everyone if chosen.meet is None else chosen.meet.split(",")
+    others = tuple(name for name in names if name not in ("", network.name))
+    incarnation = secrets.choice(RANDOM) if chosen.incarnation is None else chosen.incarnation
     if chosen.mav not in (0, *fleet.ids):
         raise BadExperiment(f"--mav {chosen.mav}: expected 1 to {fleet.mavs}")
-    return Start(experiment, fleet, network, everyone, chosen.epoch, chosen.mav)
+    return Start(experiment, fleet, network, others, chosen.epoch, chosen.mav, incarnation)
 
 
 def stop_on_signals() -> None:
@@ -65,16 +75,31 @@ def _exit(*_: object) -> NoReturn:
     raise SystemExit(128 + signal.SIGTERM)
 
 
-def meet(bus: ZenohBus, everyone: tuple[str, ...], epoch: int) -> None:
-    """Returns when every process of the run has a link to every other; declare subscriptions before.
-
-    A token is visible over a link only after the subscriptions declared before it, so nothing that is published
-    afterwards can be lost for want of a subscriber.
+@contextlib.contextmanager
+def on_the_bus(start: Start) -> Iterator[ZenohBus]:
+    """This process's place on the network, left on every way out.
 
     Raises:
+        BusError: it cannot be had; it says so if another process of the same name has it.
+    """
+    try:
+        bus = ZenohBus(start.network)
+    except BusError:
+        already = occupant(start.network)
+        if already is None:
+            raise
+        raise BusError(f"{start.network.name}: {already}, at {', '.join(start.network.listen)}") from None
+    with bus:
+        yield bus
+
+
+def join(start: Start, bus: ZenohBus, witness: bool = False) -> Presence:
+    """Meets the others; subscribe before. Then it says on its standard output that it is ready, for who started it.
+
+    Raises:
+        AlreadyHere: somebody else has the same name.
         BusError: some process did not come in time.
     """
-    me, others = bus.network.name, [name for name in everyone if name != bus.network.name]
-    for stage in ("here", "linked"):
-        bus.announce(f"alive/{me}/{epoch}/{stage}")
-        bus.await_alive([f"alive/{name}/{epoch}/{stage}" for name in others], START_TIMEOUT_S)
+    presence = Presence(bus, start.epoch, start.incarnation, witness)
+    meet(presence, start.others, START_TIMEOUT_S)
+    return presence

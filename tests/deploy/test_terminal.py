@@ -112,3 +112,22 @@ def test_lines_for_pipes_say_it_now_and_then(capsys: pytest.CaptureFixture[str])
     plain.show(progress(TORN))
     plain.show(progress(SURE))  # too soon
     assert capsys.readouterr().out == f"   1.0 of 5 s, starting; {terminal.in_words(progress(TORN))}\n"
+
+
+def status(mav: int, neighbours: list[int], holding: bool = False) -> Packet:
+    counters = (1, 2, 3, 4, 5, 6, 7, (8,))
+    header = (messages.VERSION, EPOCH, mav, 0, 0)
+    message = messages.Status(*header, *counters, neighbours=bytes(neighbours), holding=holding)
+    return Packet(topics.key(topics.STATUS, mav), messages.encode(message))
+
+
+def test_who_is_not_there_any_more_is_seen() -> None:
+    first, second, third = seen(status(1, [0, 1, 2]), status(2, [0, 0, 2], holding=True))
+    assert (first.stale, first.gone, first.holding) == ((2,), (3,), False)
+    assert (second.stale, second.gone, second.holding) == ((), (3,), True)
+    assert (third.stale, third.gone, third.holding) == ((), (), False)
+    shown = progress(first, second, third)
+    assert ", stale: MAV 2, gone: MAV 3, holding: MAV 2, largest" in terminal.in_words(shown)
+    assert "3 gone, 2 stale" in drawn(shown, 90)
+    assert "holding, 3 gone" in drawn(shown, 90)
+    assert "neighbours" not in drawn(progress(third), 90)

@@ -233,7 +233,10 @@ def test_lockstep_waits_for_answers() -> None:
 
 
 def in_real_time(
-    monkeypatch: pytest.MonkeyPatch, silent_at: tuple[int, ...] = (), slow_at: dict[int, float] | None = None
+    monkeypatch: pytest.MonkeyPatch,
+    silent_at: tuple[int, ...] = (),
+    slow_at: dict[int, float] | None = None,
+    lasts_s: float = 2.0,
 ) -> tuple[np.ndarray, messages.Status]:
     """A run by a clock of its own: when every tick was published, s, and the final status.
 
@@ -262,7 +265,7 @@ def in_real_time(
     monkeypatch.setattr(clock, "now_s", lambda: now_s[0])
     monkeypatch.setattr(clock, "sleep_until", sleep_until)
     World(config(), FLEET, EPOCH, bus).run_realtime()
-    assert now_s[0] - 100 == pytest.approx(2.0)  # every tick has its period, the last one too
+    assert now_s[0] - 100 == pytest.approx(lasts_s)  # every tick has its period, the last one too
     (status,) = heard.drain()
     return np.array(published_s), messages.decode(messages.Status, status.payload, EPOCH)
 
@@ -279,6 +282,16 @@ def test_a_tick_that_is_published_too_late_is_late(monkeypatch: pytest.MonkeyPat
     published_s, status = in_real_time(monkeypatch, slow_at={5: 0.27, 10: 0.14})
     np.testing.assert_allclose(published_s[:13], [0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.77, 0.78, 0.8, 0.9, 1, 1.14, 1.2])
     assert status.late_ticks == 2
+
+
+def test_simulated_time_stands_still_with_the_world(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("world.world.STOOD_STILL_S", 0.3)
+    published_s, status = in_real_time(monkeypatch, slow_at={5: 0.5}, lasts_s=2.4)
+    np.testing.assert_allclose(published_s[4:9], [0.4, 0.5, 1.0, 1.1, 1.2])
+    assert caplog.messages == ["stood still for 0.4 s; simulated time goes on from there"]
+    assert status.late_ticks == 1
 
 
 def test_a_tick_that_some_mav_has_not_answered_is_late(monkeypatch: pytest.MonkeyPatch) -> None:
