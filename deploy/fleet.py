@@ -8,13 +8,23 @@ from typing import Literal
 
 from agent.interface.bus import Network
 from agent.interface.fleet import Fleet
+from deploy.faults import Faults
 
 HIDDEN_FROM_AGENTS = ("truth/**", "fault/**")
 
 
 @dataclass(frozen=True)
+class Place:
+    """Where a process is in the network."""
+
+    listen: str  # the Zenoh endpoint at which it listens
+    reach: str = ""  # at which the others reach it, if that is another
+    inside: tuple[str, ...] = ()  # what its command is run by, as in ("ip", "netns", "exec", "left")
+
+
+@dataclass(frozen=True)
 class Process:
-    """A row of the table. Nobody waits to be started: all come up at once and find each other (`process.meet`)."""
+    """A row of the table. Nobody waits to be started: all come up at once and find each other (`process.join`)."""
 
     name: str
     command: tuple[str, ...]
@@ -22,34 +32,45 @@ class Process:
     reports: bool = False  # its standard output is progress (JSON lines); everything else it says goes to its log
 
 
-def processes(fleet: Fleet, run: Path, sockets: Path, epoch: int, impaired: bool = False) -> tuple[Process, ...]:
-    """The table of a run; writes each one's network file into `sockets`.
+def names(fleet: Fleet) -> tuple[str, ...]:
+    return ("recorder", "world", *(f"mav_{mav}" for mav in fleet.ids))
+
+
+def on_one_host(fleet: Fleet, sockets: Path) -> dict[str, Place]:
+    """Unix sockets in a directory with a short path: theirs are limited to some 108 characters."""
+    return {name: Place(f"unixsock-stream/{sockets}/{name}") for name in names(fleet)}
+
+
+def processes(
+    fleet: Fleet, run: Path, networks: Path, epoch: int, places: dict[str, Place], faults: Faults
+) -> tuple[Process, ...]:
+    """The table of a run; writes each one's network file into `networks`.
 
     Args:
         run: the run folder, with experiment.toml in it.
-        sockets: a directory with a short path, for a unix socket's is limited to some 108 characters.
         epoch: the number of the run.
-        impaired: whether there are faults in the experiment: then the agents' buses are wrapped.
+        places: where each process is, by name.
+        faults: if there are any, the agents' buses are wrapped.
     """
-    names = ("recorder", "world", *(f"mav_{mav}" for mav in fleet.ids))
-    places = {name: f"unixsock-stream/{sockets}/{name}" for name in names}
-    for index, name in enumerate(names):
+    everyone = names(fleet)
+    late = {f"mav_{mav}" for mav in faults.late}
+    for index, name in enumerate(everyone):
         network = Network(
             name=name,
             namespace=f"swarm/{epoch}",
-            listen=(places[name],),
-            connect=tuple(places[other] for other in names[:index]),
+            listen=(places[name].listen,),
+            connect=tuple(places[other].reach or places[other].listen for other in everyone[:index]),
             lossless=not fleet.realtime,
             deny=HIDDEN_FROM_AGENTS if name.startswith("mav_") else (),
         )
-        (sockets / f"{name}.json").write_text(json.dumps(asdict(network) | {"everyone": names}))
+        there = [other for other in everyone if other not in late]
+        (networks / f"{name}.json").write_text(json.dumps(asdict(network) | {"everyone": there}))
 
     def command(module: str, name: str, *more: str) -> tuple[str, ...]:
-        network = str(sockets / f"{name}.json")
-        start = (str(run / "experiment.toml"), "--network", network, "--epoch", str(epoch))
-        return (sys.executable, "-m", module, *start, *more)
+        start = (str(run / "experiment.toml"), "--network", str(networks / f"{name}.json"), "--epoch", str(epoch))
+        return (*places[name].inside, sys.executable, "-m", module, *start, "--incarnation", "0", *more)
 
-    agent = "deploy.impaired_agent" if impaired else "agent"
+    agent = "deploy.impaired_agent" if faults.present else "agent"
     return (
         Process("recorder", command("deploy.recorder", "recorder"), ends="when told", reports=True),
         Process("world", command("world", "world"), ends="by itself"),

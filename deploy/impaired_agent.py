@@ -1,10 +1,11 @@
 """`python -m deploy.impaired_agent`: the ordinary `python -m agent`, on a network with the experiment's faults."""
 
 import sys
+from functools import partial
 
 from agent.__main__ import main
 from agent.interface.bus import Bus, ZenohBus
-from agent.interface.process import Start
+from agent.interface.process import Start, meet_agents
 from deploy import faults
 from deploy.impaired_bus import ImpairedBus
 
@@ -12,7 +13,8 @@ from deploy.impaired_bus import ImpairedBus
 def impaired(bus: ZenohBus, start: Start) -> Bus:
     """The bus with the faults on the links to this MAV."""
     table = faults.parse(start.experiment.get("faults", {}), start.fleet)
-    return ImpairedBus(bus, table, start.fleet, start.mav, start.epoch)
+    meet = partial(meet_agents, bus, start.epoch)
+    return ImpairedBus(bus, table, start.fleet, start.mav, start.epoch, start.incarnation, meet)
 
 
 if __name__ == "__main__":

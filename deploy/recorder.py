@@ -4,14 +4,16 @@ Started like every process of a run (`python -m deploy.recorder RUN/experiment.t
 writes log.mcap beside the experiment file. On SIGTERM it goes on until it has all that the others' last words announce.
 """
 
+import contextlib
 import logging
+import os
 import signal
 import sys
 from pathlib import Path
 
 import msgspec
 
-from agent.interface import clock, messages
+from agent.interface import clock, messages, topics
 from agent.interface.bus import BusError, Inbox, Packet
 from agent.interface.process import Start, arguments, join, on_the_bus, stop_on_signals
 from deploy.log import LogWriter, Origin
@@ -35,6 +37,7 @@ class Ledger:
         self.received: dict[int, int] = {}
         self.announced: dict[int, int] = {}
         self.undecodable = 0
+        self._excused: set[int] = set()
 
     def enter(self, packet: Packet, sender: int) -> None:
         self.received[sender] = self.received.get(sender, 0) + 1
@@ -47,17 +50,49 @@ class Ledger:
             if status.final:
                 self.announced[status.sender] = status.sent
 
+    def suffer(self, mav: int, do: str) -> None:
+        """A process that was killed or stopped has no last words; a new one counts anew."""
+        (self._excused.add if do in ("kill", "stop") else self._excused.discard)(mav)
+        if do in ("restart", "join"):
+            self.received[mav] = 0
+
     def missing(self, senders: range) -> list[str]:
         """What is not here, in words; empty when all is."""
         words = []
         for sender in senders:
             who, received = f"mav_{sender}" if sender else "world", self.received.get(sender, 0)
             sent = self.announced.get(sender)
-            if sent is None:
+            if sent is None and sender not in self._excused:
                 words.append(f"{who}: no last words, {received} messages recorded")
-            elif sent > received:
+            elif sent is not None and sent > received:
                 words.append(f"{who}: {sent - received} of {sent} messages")
         return words
+
+
+class Journal:
+    """What befalls processes, as lines of JSON on standard input from who does it to them."""
+
+    def __init__(self, epoch: int) -> None:
+        self._epoch, self._unread, self._entries = epoch, b"", 0
+        os.set_blocking(sys.stdin.fileno(), False)
+
+    def read(self) -> list[tuple[int, messages.ProcessFault]]:
+        """What has happened since the last look, and to which MAV."""
+        with contextlib.suppress(BlockingIOError):
+            self._unread += os.read(sys.stdin.fileno(), 65536)
+        *lines, self._unread = self._unread.split(b"\n")
+        return [self._entry(msgspec.json.decode(line, type=Entry)) for line in lines]
+
+    def _entry(self, entry: "Entry") -> tuple[int, messages.ProcessFault]:
+        header = (messages.VERSION, self._epoch, messages.DEPLOY, self._entries, entry.stamp_ns)
+        self._entries += 1
+        return entry.mav, messages.ProcessFault(*header, do=entry.do)
+
+
+class Entry(msgspec.Struct, frozen=True):
+    mav: int
+    do: messages.Verb
+    stamp_ns: int
 
 
 class Stopping:
@@ -76,11 +111,15 @@ class Recorder:
         self._epoch, self._writer = start.epoch, writer
         self._senders = range(start.fleet.mavs + 1)
         self._ledger, self._watch = Ledger(start.epoch), Watch(start.fleet, start.epoch)
+        self._journal = Journal(start.epoch)
 
     def record(self, inbox: Inbox, stopping: Stopping) -> None:
         """Returns once it was told to stop and has everything, or has waited long enough."""
         heard_s = told_s = saved_s = clock.now_s()
         while True:
+            for mav, fault in self._journal.read():
+                self._ledger.suffer(mav, fault.do)
+                self._take(Packet(topics.key(topics.PROCESS_FAULT, mav), messages.encode(fault)))
             packets, now_s = inbox.drain(), clock.now_s()
             for packet in packets:
                 self._take(packet)

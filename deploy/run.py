@@ -14,8 +14,10 @@ from agent.interface.bus import Packet
 from agent.interface.tables import BadExperiment
 from deploy import fleet, supervisor
 from deploy.experiment import Experiment, from_text
+from deploy.fleet import Place
 from deploy.log import BadLog, LogWriter, Origin, read_log
 from deploy.peek import peek
+from deploy.process_faults import Director
 from deploy.progress import Progress, Watch
 from deploy.supervisor import Outcome
 from deploy.terminal import Display
@@ -49,13 +51,26 @@ def folder_for(experiment: str, out: Path | None) -> Path:
     return folder
 
 
-def run(experiment: Experiment, folder: Path, in_process: bool, display: Display) -> Result:
-    """Flies a checked experiment into an empty or new folder; whatever was recorded is scored, however it ended."""
+def run(
+    experiment: Experiment,
+    folder: Path,
+    in_process: bool,
+    display: Display,
+    places: dict[str, Place] | None = None,
+) -> Result:
+    """Flies a checked experiment into an empty or new folder; whatever was recorded is scored, however it ended.
+
+    Args:
+        places: where the processes are, if not all on this host.
+    """
     (folder / "logs").mkdir(parents=True)
     (folder / "experiment.toml").write_text(experiment.toml())
     epoch = secrets.choice(EPOCHS)
     with display:
-        outcome = (_in_process if in_process else _processes)(experiment, folder, epoch, display)
+        if in_process:
+            outcome = _in_process(experiment, folder, epoch, display)
+        else:
+            outcome = _processes(experiment, folder, epoch, display, places)
     display.say("scoring")
     try:
         return Result(outcome, score(folder))
@@ -90,14 +105,19 @@ def score(folder: Path) -> dict[str, Any]:
     return content
 
 
-def _processes(experiment: Experiment, folder: Path, epoch: int, display: Display) -> Outcome:
+def _processes(
+    experiment: Experiment, folder: Path, epoch: int, display: Display, places: dict[str, Place] | None = None
+) -> Outcome:
     def show(line: bytes) -> None:
         display.show(msgspec.json.decode(line, type=Progress))
 
-    with tempfile.TemporaryDirectory(prefix="swarm-") as sockets:
-        impaired = experiment.faults.present
-        table = fleet.processes(experiment.fleet, folder.resolve(), Path(sockets), epoch, impaired)
-        return supervisor.run(table, folder / "logs", show)
+    faults = experiment.faults
+    director = Director(faults, experiment.fleet) if faults.processes else None
+    with tempfile.TemporaryDirectory(prefix="swarm-") as name:
+        networks = Path(name)
+        where = places or fleet.on_one_host(experiment.fleet, networks)
+        table = fleet.processes(experiment.fleet, folder.resolve(), networks, epoch, where, faults)
+        return supervisor.run(table, folder / "logs", show, director)
 
 
 def _in_process(experiment: Experiment, folder: Path, epoch: int, display: Display) -> Outcome:

@@ -1,7 +1,8 @@
 """Who starts the processes of a run, and sees to it that all of them end?
 
 Each gets a session of its own, so that Ctrl-C reaches only the launcher, and dies with the launcher even if that is
-killed. The run is over when all that end by themselves have; it has failed as soon as one ends in another way.
+killed. The run is over when all that end by themselves have; it has failed as soon as one ends in another way, unless
+the director of the experiment's faults has it killed.
 """
 
 import asyncio
@@ -10,12 +11,14 @@ import os
 import signal
 from asyncio.subprocess import DEVNULL, PIPE
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
+from agent.interface.process import READY
 from deploy.fleet import Process
 from deploy.leash import die_with
+from deploy.process_faults import Director
 
 STOP_S = 3.0  # from SIGTERM to SIGKILL
 STOP_RECORDER_S = 8.0  # it may wait five seconds for what is still on its way
@@ -35,37 +38,41 @@ class _Running:
     child: asyncio.subprocess.Process
     ended: asyncio.Task[int]
     log: Path
+    ready: asyncio.Event = field(default_factory=asyncio.Event)
+    stopped: bool = False  # by the director: it need not end by itself
 
 
-def run(table: tuple[Process, ...], logs: Path, progress: Callable[[bytes], None]) -> Outcome:
+def run(
+    table: tuple[Process, ...], logs: Path, progress: Callable[[bytes], None], director: Director | None = None
+) -> Outcome:
     """Runs all processes to the end; afterwards none is left.
 
     Args:
         table: what to start.
         logs: directory for one <name>.txt each.
         progress: is called with every line of those that report.
+        director: has processes killed, stopped and restarted.
     """
-    return asyncio.run(_run(table, logs, progress))
+    return asyncio.run(_run(table, _Crew(table, logs, progress, director), director))
 
 
-async def _run(table: tuple[Process, ...], logs: Path, progress: Callable[[bytes], None]) -> Outcome:
+async def _run(table: tuple[Process, ...], crew: "_Crew", director: Director | None) -> Outcome:
     interrupt = asyncio.Event()
     with _signals(interrupt):
-        running: list[_Running] = []
-        readers: list[asyncio.Task[None]] = []
+        directing: asyncio.Task[None] | None = None
         try:
             for row in table:
                 if interrupt.is_set():
                     break
-                running.append(await _start(row, logs / f"{row.name}.txt"))
-                if row.reports:
-                    readers.append(asyncio.create_task(_read(running[-1].child, progress)))
-            outcome = await _watch(running, interrupt)
+                if director is None or row.name not in director.late:
+                    await crew.launch(row)
+            if director is not None:
+                directing = asyncio.create_task(director.direct(crew))
+            outcome = await crew.watch(interrupt, directing)
         finally:
-            await _stop([one for one in running if one.row.ends == "by itself"], STOP_S)
-            told = [one for one in running if one.row.ends == "when told"]
-            await _stop(told, STOP_RECORDER_S)
-            await asyncio.gather(*readers)
+            if directing is not None:
+                directing.cancel()
+            told = await crew.end()
         if outcome == Outcome():
             for one in told:
                 if one.ended.result() != 0:
@@ -73,60 +80,133 @@ async def _run(table: tuple[Process, ...], logs: Path, progress: Callable[[bytes
         return outcome
 
 
-async def _start(row: Process, log: Path) -> _Running:
-    with log.open("wb") as file:
-        child = await asyncio.create_subprocess_exec(
-            *row.command,
-            stdin=DEVNULL,
-            stdout=PIPE if row.reports else file,
-            stderr=file,
-            env=os.environ | ENVIRONMENT,
-            start_new_session=True,
-            preexec_fn=partial(die_with, os.getpid()),
-        )
-    return _Running(row, child, asyncio.create_task(child.wait()), log)
+class _Crew:
+    """The processes that run, as the director knows them."""
 
+    def __init__(
+        self,
+        table: tuple[Process, ...],
+        logs: Path,
+        progress: Callable[[bytes], None],
+        director: Director | None,
+    ) -> None:
+        self._rows = {row.name: row for row in table}
+        self._logs, self._progress, self._director = logs, progress, director
+        self._running: dict[str, _Running] = {}
+        self._readers: list[asyncio.Task[None]] = []
+        self._changed = asyncio.Event()
 
-async def _read(child: asyncio.subprocess.Process, progress: Callable[[bytes], None]) -> None:
-    assert child.stdout is not None
-    async for line in child.stdout:
-        progress(line)
-
-
-async def _watch(running: list[_Running], interrupt: asyncio.Event) -> Outcome:
-    """Returns at the end of the run, whichever it is; processes may be left."""
-    interrupted = asyncio.create_task(interrupt.wait())
-    try:
-        first: str | None = None  # the first that ended well
-        loop = asyncio.get_running_loop()
-        deadline: float | None = None
-        while True:
-            if interrupt.is_set():
-                return Outcome(interrupted=True)
-            for one in running:
-                if one.ended.done() and (one.ended.result() != 0 or one.row.ends == "when told"):
-                    return Outcome(failure=_words(one))
-            awaited = [one for one in running if one.row.ends == "by itself"]
-            left = [one for one in awaited if not one.ended.done()]
-            if not left:
-                return Outcome()
-            if len(left) < len(awaited) and deadline is None:
-                deadline = loop.time() + TOGETHER_S
-                first = next(one.row.name for one in awaited if one.ended.done())
-            if deadline is not None and loop.time() >= deadline:
-                names = ", ".join(one.row.name for one in left)
-                where = left[0].log
-                return Outcome(
-                    failure=f"{first} ended, but {TOGETHER_S:g} s later these had not: {names} (log: {where})"
-                )
-            pending = [one.ended for one in running if not one.ended.done()]
-            await asyncio.wait(
-                [interrupted, *pending],
-                timeout=None if deadline is None else deadline - loop.time(),
-                return_when=asyncio.FIRST_COMPLETED,
+    async def launch(self, row: Process, *more: str) -> None:
+        log = self._logs / f"{row.name}.txt"
+        with log.open("ab") as file:
+            child = await asyncio.create_subprocess_exec(
+                *row.command,
+                *more,
+                stdin=DEVNULL if self._director is None else PIPE,
+                stdout=PIPE,
+                stderr=file,
+                env=os.environ | ENVIRONMENT,
+                start_new_session=True,
+                preexec_fn=partial(die_with, os.getpid()),
             )
-    finally:
-        interrupted.cancel()
+        one = self._running[row.name] = _Running(row, child, asyncio.create_task(child.wait()), log)
+        self._readers.append(asyncio.create_task(self._read(one)))
+        self._changed.set()
+
+    async def start(self, name: str, *more: str) -> None:
+        await self.launch(self._rows[name], *more)
+        await self._running[name].ready.wait()
+
+    async def kill(self, name: str) -> None:
+        one = self._running.pop(name)  # from here on nobody wonders how it ends
+        self._changed.set()
+        _signal(one, signal.SIGKILL)
+        await one.ended
+
+    def stop(self, name: str) -> None:
+        self._running[name].stopped = True
+        _signal(self._running[name], signal.SIGSTOP)
+
+    def go_on(self, name: str) -> None:
+        _signal(self._running[name], signal.SIGCONT)
+        self._running[name].stopped = False
+
+    def tell(self, name: str, line: bytes) -> None:
+        pipe = self._running[name].child.stdin
+        assert pipe is not None
+        with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # it has ended, which is noticed elsewhere
+            pipe.write(line + b"\n")
+
+    async def all_ready(self) -> None:
+        for one in list(self._running.values()):
+            await one.ready.wait()
+
+    async def _read(self, one: _Running) -> None:
+        assert one.child.stdout is not None
+        async for line in one.child.stdout:
+            if self._director is not None and self._director.heard(one.row.name, line):
+                continue
+            if line.strip() == READY:
+                one.ready.set()
+            elif one.row.reports:
+                self._progress(line)
+            else:
+                with one.log.open("ab") as file:
+                    file.write(line)
+
+    async def watch(self, interrupt: asyncio.Event, directing: asyncio.Task[None] | None) -> Outcome:
+        """Returns at the end of the run, whichever it is; processes may be left."""
+        interrupted = asyncio.create_task(interrupt.wait())
+        try:
+            first: str | None = None  # the first that ended well
+            loop = asyncio.get_running_loop()
+            deadline: float | None = None
+            while True:
+                self._changed.clear()
+                running = list(self._running.values())
+                if interrupt.is_set():
+                    return Outcome(interrupted=True)
+                if directing is not None and directing.done():
+                    directing.result()  # what it raised
+                    directing = None
+                for one in running:
+                    if one.ended.done() and (one.ended.result() != 0 or one.row.ends == "when told"):
+                        return Outcome(failure=_words(one))
+                awaited = [one for one in running if one.row.ends == "by itself" and not one.stopped]
+                left = [one for one in awaited if not one.ended.done()]
+                if not left:
+                    return Outcome()
+                if len(left) < len(awaited) and deadline is None:
+                    deadline = loop.time() + TOGETHER_S
+                    first = next(one.row.name for one in awaited if one.ended.done())
+                if deadline is not None and loop.time() >= deadline:
+                    names = ", ".join(one.row.name for one in left)
+                    where = left[0].log
+                    return Outcome(
+                        failure=f"{first} ended, but {TOGETHER_S:g} s later these had not: {names} (log: {where})"
+                    )
+                changed = asyncio.create_task(self._changed.wait())
+                pending = [interrupted, changed, *(one.ended for one in running if not one.ended.done())]
+                await asyncio.wait(
+                    pending if directing is None else [*pending, directing],
+                    timeout=None if deadline is None else deadline - loop.time(),
+                    return_when=asyncio.FIRST_COMPLETED,
+                )
+                changed.cancel()
+        finally:
+            interrupted.cancel()
+
+    async def end(self) -> list[_Running]:
+        """Ends all that are left; returns those that had to be told to end."""
+        running = list(self._running.values())
+        for one in running:
+            if one.stopped:  # it could not heed anything gentler
+                _signal(one, signal.SIGKILL)
+        await _stop([one for one in running if one.row.ends == "by itself"], STOP_S)
+        told = [one for one in running if one.row.ends == "when told"]
+        await _stop(told, STOP_RECORDER_S)
+        await asyncio.gather(*self._readers)
+        return told
 
 
 async def _stop(running: list[_Running], patience_s: float) -> None:

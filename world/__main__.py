@@ -1,11 +1,13 @@
 """`python -m world`: simulates one run, or plays recorded flights, for the agents on the bus."""
 
 import sys
+from functools import partial
 
 from agent.interface import process
 from agent.interface.bus import BusError
 from agent.interface.tables import BadExperiment
 from world.config import parse
+from world.roll_call import RollCall, standard_input
 from world.world import World
 
 
@@ -17,10 +19,11 @@ def main() -> int:
         with process.on_the_bus(start) as bus:
             world = World(config, start.fleet, start.epoch, bus)  # subscribes, so it comes before the others are met
             process.join(start, bus)
+            roll_call = RollCall(world, standard_input(), partial(process.meet_agents, bus, start.epoch))
             if start.fleet.realtime:
-                world.run_realtime()
+                world.run_realtime(roll_call.realtime)
             else:
-                world.run_lockstep()
+                world.run_lockstep(roll_call.lockstep)
     except (BadExperiment, BusError) as error:
         print(f"world: {error}", file=sys.stderr)
         return 2 if isinstance(error, BadExperiment) else 1

@@ -1,6 +1,7 @@
 """How does a run go? Tick by tick: publish what the sensors read and what is true, step, wait for the answers."""
 
 import logging
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -15,6 +16,7 @@ from world.detector import Detectors
 from world.poses import Poses
 from world.recorded import RecordedFlights
 
+BeforeTick = Callable[[int], None]
 SENDER = 0  # the world among the MAVs 1..N
 
 STOOD_STILL_S = 1.0  # real time: so late, it was not slow but stopped
@@ -64,6 +66,7 @@ class World:
         self._roll = dict.fromkeys(fleet.ids, 0)  # who takes part -> how often it has been started anew
         self._started = set(self._roll.items())  # all that ever took part
         self._rolls = 0
+        self._absent: set[int] = set()
         self._unanswered: set[int] = set()
         self._complained: set[str] = set()
         self._answered_stamp_ns = -1
@@ -102,6 +105,10 @@ class World:
         for mav in self._fleet.ids:
             self._publish(topics.key(topics.ROLL, mav), called)
 
+    def set_absent(self, mavs: set[int]) -> None:
+        """In real time, sensors of MAVs without a process are off: the next one begins with a new odometry frame."""
+        self._absent = mavs if self._fleet.realtime else set()
+
     def publish_tick(self) -> None:
         """What every MAV's sensors read at this tick and, for deploy alone, what is true."""
         began_us = clock.now_us()
@@ -117,6 +124,8 @@ class World:
             self._publish(
                 labels_key, messages.encode_fields(messages.Labels, *header, mav, detections.labels.tobytes())
             )
+            if mav in self._absent:
+                continue
             p, q = vio.position[i].tobytes(), vio.quaternion[i].tobytes()
             self._publish(vio_key, messages.encode_fields(messages.Vio, *header, p, q))
             block = messages.spherical_block(detections.spherical)
@@ -145,17 +154,18 @@ class World:
             self._publish(topics.key(topics.END, mav), messages.encode(messages.End(*header)))
         self._publish(topics.key(topics.STATUS, SENDER), messages.encode(self._final_status(header)))
 
-    def run_lockstep(self) -> None:
-        """As fast as the slowest agent answers."""
+    def run_lockstep(self, before_tick: BeforeTick = lambda _: None) -> None:
+        """As fast as the slowest agent answers; `before_tick` is called before each."""
         self.begin()
         while not self.finished:
+            before_tick(self._tick)
             self.publish_tick()
             self.step()
             while not self.answered():
                 self._receive(self._inbox.wait(None))
         self.end()
 
-    def run_realtime(self) -> None:
+    def run_realtime(self, before_tick: BeforeTick = lambda _: None) -> None:
         """By the wall clock, waiting for nobody.
 
         A tick is late if it was published more than half a period after its time, or if some MAV had not answered it
@@ -171,6 +181,7 @@ class World:
             if behind_s > max(STOOD_STILL_S, period_s):
                 log.warning("stood still for %.1f s; simulated time goes on from there", behind_s)
                 began_s, due_s = began_s + behind_s, due_s + behind_s
+            before_tick(self._tick)
             self.publish_tick()
             self.step()
             clock.sleep_until(due_s + period_s)

@@ -282,6 +282,8 @@ def _may_be_lost(key: str) -> bool:
 def _config(network: Network) -> zenoh.Config:
     """Explicit endpoints, no discovery, quick retries, bounded messages, no shared memory."""
     lease_s = LOSSLESS_LEASE_S if network.lossless else LEASE_S
+    # Over UDP a lost handshake is not repeated, but given up after this time, and then tried again.
+    open_ms = 1000 if any(each.startswith("udp/") for each in (*network.listen, *network.connect)) else 2000
     settings: dict[str, Any] = {
         "mode": "peer",
         "namespace": network.namespace,
@@ -296,7 +298,7 @@ def _config(network: Network) -> zenoh.Config:
         "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
         "transport": {
             "shared_memory": {"enabled": False},
-            "unicast": {"open_timeout": 2000, "accept_timeout": 2000},
+            "unicast": {"open_timeout": open_ms, "accept_timeout": open_ms},
             "link": {
                 "tx": {"lease": round(1000 * lease_s), "keep_alive": 4, "queue": {"size": {"data": 16}}},
                 "rx": {"max_message_size": 2 * MAX_BYTES},

@@ -21,6 +21,7 @@ MAX_REASON = 200  # characters
 SEARCHING, AMBIGUOUS, LOCALISED = range(3)
 STATES = ("searching", "ambiguous", "localised")
 AIR = ("odometry", "detections")  # what MAVs tell each other
+Verb = Literal["kill", "stop", "continue", "restart", "join"]  # what can befall a process
 DEPLOY = 255  # sender of what deploy itself says
 ALIVE, STALE, GONE = range(3)
 NEIGHBOURS = ("alive", "stale", "gone")
@@ -213,7 +214,7 @@ class Arrivals(Header, frozen=True):
 class ProcessFault(Header, frozen=True):
     """Journal of the faults of one agent's process, at the tick of the stamp, before it (for deploy only)."""
 
-    do: Literal["kill", "stop", "continue", "restart", "join"]
+    do: Verb
 
 
 class Truth(Header, frozen=True):

@@ -11,7 +11,7 @@ import secrets
 import signal
 import sys
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
@@ -19,9 +19,10 @@ import msgspec
 
 from agent.interface.bus import BusError, Network, ZenohBus
 from agent.interface.fleet import Fleet
-from agent.interface.presence import RANDOM, Presence, meet, occupant
+from agent.interface.presence import LINKED, RANDOM, Claim, Presence, meet, occupant
 from agent.interface.tables import BadExperiment, parse_table
 
+READY = b"ready"  # what a process says on its standard output once it has met the others
 START_TIMEOUT_S = 60.0  # eight processes that import numpy at once on two busy cores took 25 s
 
 
@@ -102,4 +103,14 @@ def join(start: Start, bus: ZenohBus, witness: bool = False) -> Presence:
     """
     presence = Presence(bus, start.epoch, start.incarnation, witness)
     meet(presence, start.others, START_TIMEOUT_S)
+    print(READY.decode(), flush=True)
     return presence
+
+
+def meet_agents(bus: ZenohBus, epoch: int, incarnations: Iterable[tuple[int, int]]) -> None:
+    """Returns when these MAVs hear what is published; each is given with its incarnation.
+
+    Raises:
+        BusError: some of them did not come in time.
+    """
+    bus.await_alive([Claim(f"mav_{mav}", epoch, number).key(LINKED) for mav, number in incarnations], START_TIMEOUT_S)

@@ -29,12 +29,19 @@ class Liveness:
             mav = index + 1
             if mav == self._mav:
                 continue
-            self._heard_ns.setdefault(mav, now_ns)
-            age_ns = now_ns - self._heard_ns[mav]
+            # Nothing can have been heard after now; who was never heard counts from the first look on.
+            heard_ns = self._heard_ns[mav] = min(self._heard_ns.get(mav, now_ns), now_ns)
+            age_ns = now_ns - heard_ns
             if age_ns > self._gone_after_ns or not (has_token is None or has_token(mav)):
                 state = GONE
             else:
                 state = STALE if age_ns > self._stale_after_ns else ALIVE
             if state != before:
                 self.states[index] = state
-                log.info("MAV %d is %s (heard %.1f s ago)", mav, NEIGHBOURS[state], age_ns / 1e9)
+                log.info(
+                    "MAV %d is %s at %.1f s (last heard at %.1f s)",
+                    mav,
+                    NEIGHBOURS[state],
+                    now_ns / 1e9,
+                    heard_ns / 1e9,
+                )

@@ -14,6 +14,7 @@ class Stamps:
 
     rate_hz: float
     _newest_ns: int = 0  # of its own sensors
+    _known: bool = False  # whether they have said anything yet: before, any time is as good as another
     _doubtful_ns: int = 0
     _doubts: int = 0
 
@@ -24,6 +25,7 @@ class Stamps:
         if stamp_ns - self._newest_ns > JUMP_S * 1e9 and not self._confirmed(stamp_ns):
             return f"own stamp {stamp_ns} ns: more than {JUMP_S:g} s after {self._newest_ns} ns"
         self._newest_ns = self._doubtful_ns = max(stamp_ns, self._newest_ns)
+        self._known = True
         self._doubts = 0
         return ""
 
@@ -31,7 +33,7 @@ class Stamps:
         """Why a peer's message cannot be of this time; "" if it can. That it is late is not for here."""
         if not self._on_grid(stamp_ns):
             return f"stamp {stamp_ns} ns: not a tick of {self.rate_hz:g} Hz"
-        if self._tick(stamp_ns) - self._tick(self._newest_ns) > AHEAD_TICKS:
+        if self._known and self._tick(stamp_ns) - self._tick(self._newest_ns) > AHEAD_TICKS:
             return f"stamp {stamp_ns} ns: more than {AHEAD_TICKS} ticks after {self._newest_ns} ns"
         return ""
 

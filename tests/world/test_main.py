@@ -21,12 +21,12 @@ def run(folder: Path, radius_m: float) -> subprocess.CompletedProcess[str]:
     experiment.write_text(EXPERIMENT.format(radius_m=radius_m))
     network.write_text(json.dumps({"name": "world", "namespace": "swarm/test_main", "everyone": ["world"]}))
     command = [sys.executable, "-m", "world", str(experiment), "--network", str(network), "--epoch", "1"]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, stdin=subprocess.DEVNULL)
 
 
 def test_a_run_in_real_time_ends_by_itself(tmp_path: Path) -> None:
     done = run(tmp_path, 1.0)
-    assert (done.returncode, done.stdout) == (0, ""), done.stderr
+    assert (done.returncode, done.stdout) == (0, "ready\n"), done.stderr
 
 
 def test_a_wrong_experiment_is_one_line_and_exit_2(tmp_path: Path) -> None:
