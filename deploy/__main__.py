@@ -71,15 +71,28 @@ def _parser() -> argparse.ArgumentParser:
     score.set_defaults(do=_score)
 
     commands.add_parser("list", help="the bundled experiments")
+
+    helps = {"agent": "one MAV", "world": "the world", "recorder": "the recorder, until Ctrl-C; then scores"}
+    for name, words in helps.items():
+        alone = commands.add_parser(name, help=f"{words}: one process by hand, for several hosts")
+        _what(alone, out=name == "recorder")
+        if name == "agent":
+            alone.add_argument("--mav", type=int, required=True, metavar="I", help="which MAV, 1..N")
+        alone.add_argument("--network", type=Path, required=True, metavar="FILE", help="endpoints of all (TOML)")
+        alone.add_argument("--epoch", type=int, required=True, metavar="E", help="number of the run, on all hosts")
+        alone.set_defaults(do=_record if name == "recorder" else _one_process)
     return parser
 
 
-def _what(parser: argparse.ArgumentParser) -> None:
+def _what(parser: argparse.ArgumentParser, out: bool = True) -> None:
     parser.add_argument("experiment", metavar="EXPERIMENT", help="a bundled name (swarm list) or a TOML file")
     parser.add_argument(
         "--set", action="append", default=[], metavar="PATH=VALUE", help="override a key, as in agent.detector.P_D=0.8"
     )
-    parser.add_argument("--out", type=Path, metavar="DIR", help="where the results go (default: runs/EXPERIMENT-TIME)")
+    if out:
+        parser.add_argument(
+            "--out", type=Path, metavar="DIR", help="where the results go (default: runs/EXPERIMENT-TIME)"
+        )
 
 
 def _run(chosen: argparse.Namespace) -> int:
@@ -149,6 +162,38 @@ def _score(chosen: argparse.Namespace) -> int:
     from deploy.run import score
 
     results.print_results(score(chosen.folder), chosen.folder)
+    return FINE
+
+
+def _one_process(chosen: argparse.Namespace) -> int:
+    from agent.interface.tables import BadExperiment
+    from deploy import by_hand
+    from deploy.composition import check
+    from deploy.experiment import load
+
+    experiment = load(chosen.experiment, chosen.set)
+    check(experiment, in_process=False)
+    name = "world" if chosen.command == "world" else f"mav_{chosen.mav}"
+    if chosen.command == "agent" and chosen.mav not in experiment.fleet.ids:
+        raise BadExperiment(f"--mav {chosen.mav}: expected 1 to {experiment.fleet.mavs}")
+    return by_hand.run(experiment, by_hand.places(chosen.network, experiment), name, chosen.epoch)
+
+
+def _record(chosen: argparse.Namespace) -> int:
+    from agent.interface.tables import BadExperiment
+    from deploy import by_hand, results, terminal
+    from deploy.experiment import load
+    from deploy.run import folder_for, score
+
+    experiment = load(chosen.experiment, chosen.set)
+    where = by_hand.places(chosen.network, experiment)
+    if "recorder" not in where:
+        raise BadExperiment(f"--network {chosen.network}: recorder is missing, expected an endpoint")
+    folder = folder_for(experiment.name, chosen.out)
+    status = by_hand.record(experiment, where, chosen.epoch, folder, terminal.display(experiment.name, False))
+    if status:
+        return FAILED
+    results.print_results(score(folder), folder)
     return FINE
 
 

@@ -49,10 +49,10 @@ def processes(
     Args:
         run: the run folder, with experiment.toml in it.
         epoch: the number of the run.
-        places: where each process is, by name.
+        places: where each process is, by name; one that is nowhere is not part of the run.
         faults: if there are any, the agents' buses are wrapped.
     """
-    everyone = names(fleet)
+    everyone = [name for name in names(fleet) if name in places]
     late = {f"mav_{mav}" for mav in faults.late}
     for index, name in enumerate(everyone):
         network = Network(
@@ -71,11 +71,13 @@ def processes(
         return (*places[name].inside, sys.executable, "-m", module, *start, "--incarnation", "0", *more)
 
     agent = "deploy.impaired_agent" if faults.present else "agent"
-    return (
-        Process("recorder", command("deploy.recorder", "recorder"), ends="when told", reports=True),
-        Process("world", command("world", "world"), ends="by itself"),
-        *(
-            Process(f"mav_{mav}", command(agent, f"mav_{mav}", "--mav", str(mav)), ends="by itself")
-            for mav in fleet.ids
-        ),
-    )
+    rows = []
+    for name in everyone:
+        if name == "recorder":
+            rows.append(Process(name, command("deploy.recorder", name), ends="when told", reports=True))
+        elif name == "world":
+            rows.append(Process(name, command("world", name), ends="by itself"))
+        else:
+            mav = name.removeprefix("mav_")
+            rows.append(Process(name, command(agent, name, "--mav", mav), ends="by itself"))
+    return tuple(rows)

@@ -19,6 +19,7 @@ from world.recorded import RecordedFlights
 BeforeTick = Callable[[int], None]
 SENDER = 0  # the world among the MAVs 1..N
 
+FAREWELLS, FAREWELL_S = 5, 0.05  # real time: networks lose messages, and those who do not hear of the end wait for ever
 STOOD_STILL_S = 1.0  # real time: so late, it was not slow but stopped
 
 log = logging.getLogger("world")
@@ -186,7 +187,9 @@ class World:
             self.step()
             clock.sleep_until(due_s + period_s)
             self.late_ticks += not (self.answered() and punctual)
-        self.end()
+        for _ in range(FAREWELLS):
+            self.end()
+            clock.sleep_until(clock.now_s() + FAREWELL_S)
 
     def _publish(self, key: str, payload: bytes) -> None:
         self._bus.publish(key, payload)

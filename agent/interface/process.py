@@ -36,6 +36,7 @@ class Start(NamedTuple):
     epoch: int
     mav: int  # 0 for a process that is not an agent
     incarnation: int
+    patience_s: float  # how long it waits for them
 
 
 def arguments(program: str) -> Start:
@@ -49,7 +50,8 @@ def arguments(program: str) -> Start:
     parser.add_argument("--network", type=Path, required=True, help="endpoints of this process (JSON)")
     parser.add_argument("--epoch", type=int, required=True, help="number of the run; others' messages are ignored")
     parser.add_argument("--mav", type=int, default=0, help="which MAV this agent is, 1..N")
-    parser.add_argument("--incarnation", type=int, help="how many it has had before (default: a random number)")
+    parser.add_argument("--incarnation", default="random", help="how many it has had before, or random (default)")
+    parser.add_argument("--patience", type=float, default=START_TIMEOUT_S, help="s that it waits for the others")
     parser.add_argument("--meet", help="names of the processes to wait for, as in world,mav_2 (default: everyone)")
     chosen = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
@@ -60,10 +62,10 @@ def arguments(program: str) -> Start:
     network = msgspec.convert(place, Network)
     names = everyone if chosen.meet is None else chosen.meet.split(",")
     others = tuple(name for name in names if name not in ("", network.name))
-    incarnation = secrets.choice(RANDOM) if chosen.incarnation is None else chosen.incarnation
+    incarnation = secrets.choice(RANDOM) if chosen.incarnation == "random" else int(chosen.incarnation)
     if chosen.mav not in (0, *fleet.ids):
         raise BadExperiment(f"--mav {chosen.mav}: expected 1 to {fleet.mavs}")
-    return Start(experiment, fleet, network, others, chosen.epoch, chosen.mav, incarnation)
+    return Start(experiment, fleet, network, others, chosen.epoch, chosen.mav, incarnation, chosen.patience)
 
 
 def stop_on_signals() -> None:
@@ -102,7 +104,7 @@ def join(start: Start, bus: ZenohBus, witness: bool = False) -> Presence:
         BusError: some process did not come in time.
     """
     presence = Presence(bus, start.epoch, start.incarnation, witness)
-    meet(presence, start.others, START_TIMEOUT_S)
+    meet(presence, start.others, start.patience_s)
     print(READY.decode(), flush=True)
     return presence
 

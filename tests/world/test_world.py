@@ -11,7 +11,7 @@ from agent.interface.bus import MemoryBus, MemoryInbox, Packet
 from agent.interface.fleet import Fleet
 from agent.interface.frames import compose, inverse, range_and_bearing, relative_pose, rotation_matrix, yaw_of
 from world.config import WorldConfig, parse
-from world.world import World
+from world.world import FAREWELL_S, FAREWELLS, World
 
 FLEET = Fleet(mavs=4, duration_s=2.0, seed=7)
 TABLE = {
@@ -265,8 +265,9 @@ def in_real_time(
     monkeypatch.setattr(clock, "now_s", lambda: now_s[0])
     monkeypatch.setattr(clock, "sleep_until", sleep_until)
     World(config(), FLEET, EPOCH, bus).run_realtime()
-    assert now_s[0] - 100 == pytest.approx(lasts_s)  # every tick has its period, the last one too
-    (status,) = heard.drain()
+    # Every tick has its period, the last one too; then it says some times that it is over.
+    assert now_s[0] - 100 == pytest.approx(lasts_s + FAREWELLS * FAREWELL_S)
+    *_, status = heard.drain()
     return np.array(published_s), messages.decode(messages.Status, status.payload, EPOCH)
 
 

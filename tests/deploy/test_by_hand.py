@@ -1,0 +1,80 @@
+"""Can every process of a run be started by hand, as on several hosts, and is a wrong table of endpoints refused?"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from deploy.__main__ import main
+
+EXPERIMENT = """
+[fleet]
+mavs = 2
+duration_s = 1.5
+realtime = true
+[[world.path]]
+formation = "circle"
+radius_m = 1.0
+"""
+
+
+def written(folder: Path, network: str) -> list[str]:
+    (folder / "two.toml").write_text(EXPERIMENT)
+    (folder / "network.toml").write_text(network)
+    return [str(folder / "two.toml"), "--network", str(folder / "network.toml"), "--epoch", "7"]
+
+
+@pytest.mark.system
+def test_a_run_of_processes_started_by_hand(tmp_path: Path) -> None:
+    names = ("recorder", "world", "mav_1", "mav_2")
+    words = written(tmp_path, "".join(f"{name} = 'unixsock-stream/{tmp_path}/{name}'\n" for name in names))
+
+    def start(*command: str) -> "subprocess.Popen[str]":
+        environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
+        pipe = subprocess.PIPE
+        return stack.enter_context(
+            subprocess.Popen([sys.executable, "-m", "deploy", *command], stdout=pipe, text=True, env=environment)
+        )
+
+    with ExitStack() as stack:
+        recorder = start("recorder", *words, "--out", str(tmp_path / "run"))
+        others = [start("world", *words), *(start("agent", *words, "--mav", mav) for mav in ("1", "2"))]
+        for process in others:
+            assert process.communicate()[0] == "ready\n"
+            assert process.returncode == 0
+        recorder.send_signal(signal.SIGINT)
+        assert "clairvoyant" in recorder.communicate()[0]
+        assert recorder.returncode == 0
+    assert json.loads((tmp_path / "run" / "summary.json").read_text())["ticks"] == 15
+
+
+ALL = "world = 'tcp/10.0.0.1:1'\nmav_1 = 'tcp/10.0.0.1:2'\nmav_2 = 'tcp/10.0.0.1:3'\n"
+
+
+@pytest.mark.parametrize(
+    ("command", "network", "says"),
+    [
+        (["world"], "world =", "cannot be read as TOML"),
+        (["world"], "world = 'tcp/10.0.0.1:1'", "mav_1 is missing, expected an endpoint as in tcp/10.0.0.1:7447"),
+        (
+            ["world"],
+            ALL + "mav_3 = 'tcp/10.0.0.1:4'",
+            "mav_3: there is no such process, expected recorder, world",
+        ),
+        (["world"], ALL.replace("'tcp/10.0.0.1:3'", "7447"), "mav_2 = 7447: expected as in 'tcp/10.0.0.1:7447'"),
+        (["agent", "--mav", "3"], ALL, "--mav 3: expected 1 to 2"),
+        (["recorder"], ALL, "recorder is missing, expected an endpoint"),
+    ],
+)
+def test_a_wrong_table_of_endpoints_is_refused(
+    command: list[str], network: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([command[0], *written(tmp_path, network), *command[1:]]) == 2
+    error = capsys.readouterr().err
+    assert says in error
+    assert error.count("\n") == 1
