@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: run test check bench decidable fuzz lock clean
+.PHONY: run test check bench decidable fuzz soak lock clean
 .DEFAULT_GOAL := help
 
 help:
@@ -13,6 +13,7 @@ help:
 	@echo "make bench  time one station update against the plain one, N = 3..9 (runs/bench.json)"
 	@echo "make decidable  measure which starts can be decided (deploy/pictures/decidable.png)"
 	@echo "make fuzz   100,000 hostile messages to one agent (runs/fuzz.json)"
+	@echo "make soak   ten minutes of random kills and stops (runs/soak.json; SECONDS=60 for a short one)"
 	@echo "make lock   renew requirements.lock and requirements-test.lock from pyproject.toml"
 
 run: .venv/ready
@@ -36,6 +37,10 @@ decidable: .venv/ready-to-test
 
 fuzz: .venv/ready-to-test
 	$(BIN)/python -m tests.bench.fuzz
+
+SECONDS ?= 600
+soak: .venv/ready-to-test
+	$(BIN)/python -m tests.bench.soak $(SECONDS)
 
 .venv/uv:
 	$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed, this is " + sys.version.split()[0]) if sys.version_info < (3, 11) else None'
