@@ -28,8 +28,11 @@ def places(path: Path, experiment: Experiment) -> dict[str, Place]:
     """Where every process of this experiment is.
 
     Raises:
-        BadExperiment: no such file, not TOML, a process without an endpoint, or one that is not part of the run.
+        BadExperiment: no such file, not TOML, a process without an endpoint, or one that is not part of the run; or the
+            experiment wants processes killed, which nobody here would do.
     """
+    if experiment.faults.processes:
+        raise BadExperiment("faults.processes: expected none, by hand nobody carries them out (`swarm run` does)")
     try:
         table = tomllib.loads(path.read_text())
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:

@@ -37,8 +37,6 @@ def check(experiment: Experiment, in_process: bool) -> Checked:
 
     if in_process and experiment.fleet.realtime:
         raise BadExperiment("fleet.realtime = true: in one process there is no real time, expected false")
-    if not in_process and experiment.faults.processes:
-        raise BadExperiment("faults.processes: expected --in-process, real processes are not yet killed and stopped")
     return Checked(parse_world(experiment.world, experiment.fleet), parse_agent(experiment.agent))
 
 

@@ -5,6 +5,7 @@ from functools import partial
 
 from agent.__main__ import main
 from agent.interface.bus import Bus, ZenohBus
+from agent.interface.presence import RANDOM
 from agent.interface.process import Start, meet_agents
 from deploy import faults
 from deploy.impaired_bus import ImpairedBus
@@ -14,7 +15,8 @@ def impaired(bus: ZenohBus, start: Start) -> Bus:
     """The bus with the faults on the links to this MAV."""
     table = faults.parse(start.experiment.get("faults", {}), start.fleet)
     meet = partial(meet_agents, bus, start.epoch)
-    return ImpairedBus(bus, table, start.fleet, start.mav, start.epoch, start.incarnation, meet)
+    restarts = 0 if start.incarnation in RANDOM else start.incarnation  # nobody counts those started by hand
+    return ImpairedBus(bus, table, start.fleet, start.mav, start.epoch, restarts, meet)
 
 
 if __name__ == "__main__":

@@ -65,8 +65,8 @@ class ImpairedBus:
             self._pages += 1
             self._inner.publish(self._journal_key, messages.encode(self.in_flight.journal(page)))
 
-    def subscribe(self, pattern: str) -> Inbox:
-        inbox = self._inner.subscribe(pattern)
+    def subscribe(self, pattern: str, capacity: int = CAPACITY) -> Inbox:
+        inbox = self._inner.subscribe(pattern, capacity)
         if pattern.startswith("air/"):
             if self._fleet.realtime:
                 return _RealtimeAir(self, inbox)

@@ -5,12 +5,14 @@ import os
 import signal
 import subprocess
 import sys
-from contextlib import ExitStack
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
+from deploy import by_hand
 from deploy.__main__ import main
+from deploy.experiment import load
 
 EXPERIMENT = """
 [fleet]
@@ -33,20 +35,16 @@ def written(folder: Path, network: str) -> list[str]:
 def test_a_run_of_processes_started_by_hand(tmp_path: Path) -> None:
     names = ("recorder", "world", "mav_1", "mav_2")
     words = written(tmp_path, "".join(f"{name} = 'unixsock-stream/{tmp_path}/{name}'\n" for name in names))
-
-    def start(*command: str) -> "subprocess.Popen[str]":
-        environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
-        pipe = subprocess.PIPE
-        return stack.enter_context(
-            subprocess.Popen([sys.executable, "-m", "deploy", *command], stdout=pipe, text=True, env=environment)
-        )
-
-    with ExitStack() as stack:
-        recorder = start("recorder", *words, "--out", str(tmp_path / "run"))
-        others = [start("world", *words), *(start("agent", *words, "--mav", mav) for mav in ("1", "2"))]
-        for process in others:
-            assert process.communicate()[0] == "ready\n"
-            assert process.returncode == 0
+    experiment = load(words[0])
+    where = by_hand.places(tmp_path / "network.toml", experiment)
+    program = [sys.executable, "-m", "deploy", "recorder", *words, "--out", str(tmp_path / "run")]
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
+    with (
+        subprocess.Popen(program, stdout=subprocess.PIPE, text=True, env=environment) as recorder,
+        ThreadPoolExecutor() as threads,
+    ):
+        others = [threads.submit(by_hand.run, experiment, where, name, 7) for name in names[1:]]
+        assert [other.result() for other in others] == [0, 0, 0]
         recorder.send_signal(signal.SIGINT)
         assert "clairvoyant" in recorder.communicate()[0]
         assert recorder.returncode == 0
@@ -68,6 +66,7 @@ ALL = "world = 'tcp/10.0.0.1:1'\nmav_1 = 'tcp/10.0.0.1:2'\nmav_2 = 'tcp/10.0.0.1
         ),
         (["world"], ALL.replace("'tcp/10.0.0.1:3'", "7447"), "mav_2 = 7447: expected as in 'tcp/10.0.0.1:7447'"),
         (["agent", "--mav", "3"], ALL, "--mav 3: expected 1 to 2"),
+        (["world", "--set", "faults.processes=[{mav=1,do='kill',at_s=1}]"], ALL, "faults.processes: expected none"),
         (["recorder"], ALL, "recorder is missing, expected an endpoint"),
     ],
 )

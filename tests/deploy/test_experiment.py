@@ -76,10 +76,6 @@ def test_a_resolved_file_is_an_experiment_that_resolves_to_itself(tmp_path: Path
         (["line", "--set", "world.path.1.move_s=0.1"], "world.path[1].move_s = 0.1"),
         (["line", "--set", "faults.loss=1.3"], "faults.loss = 1.3: expected a share, 0 to 1"),
         (["line", "--set", "faults.los=0.3"], "faults.los: there is no such key"),
-        (
-            ["line", "--set", "faults.processes=[{mav=1, do='kill', at_s=1.0}]"],
-            "faults.processes: expected --in-process",
-        ),
         (["line", "--realtime", "--in-process"], "fleet.realtime = true: in one process there is no real time"),
         (["recorded_flights"], "world.flights_dir"),
     ],
