@@ -15,7 +15,7 @@ from agent.controller.hold import Hold
 from agent.estimator.estimator import Beliefs
 from agent.estimator.joint_update import DetectionSet
 from agent.interface import clock, messages, topics
-from agent.interface.bus import Bus, Packet, SeveralInboxes
+from agent.interface.bus import Bus, Packet
 from agent.interface.bus import Inbox as BusInbox
 from agent.interface.fleet import Fleet
 from agent.interface.frames import Array
@@ -28,6 +28,7 @@ from agent.sensing.inbox import AT_ONCE, Inbox
 from agent.sensing.liveness import Liveness
 from agent.sensing.neighbours import Neighbours
 from agent.sensing.own import OwnSensors
+from agent.sensing.queues import SeveralInboxes
 
 log = logging.getLogger("agent")
 

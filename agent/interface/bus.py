@@ -6,7 +6,6 @@ and never holds up a publisher.
 """
 
 import json
-import math
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -114,9 +113,8 @@ class ZenohBus:
 
     def tokens(self, pattern: str) -> "ZenohTokens":
         """Those of other processes (and of this one) at keys that match: which there are, and then every change."""
-        return ZenohTokens(
-            self._session.liveliness().declare_subscriber(pattern, zenoh.handlers.FifoChannel(CAPACITY), history=True)
-        )
+        handler: Any = zenoh.handlers.FifoChannel(CAPACITY)
+        return ZenohTokens(self._session.liveliness().declare_subscriber(pattern, handler, history=True))
 
     def present(self, pattern: str, timeout_s: float) -> list[Token]:
         """The tokens that every process with a link to this one knows of, at this moment."""
@@ -167,22 +165,6 @@ class ZenohInbox:
         return packets
 
 
-class SeveralInboxes:
-    """One inbox made of several, each with a queue of its own, which it asks in turn."""
-
-    def __init__(self, inboxes: list[Inbox], poll_s: float = POLL_S) -> None:
-        self._inboxes, self._poll_s = inboxes, poll_s
-
-    def drain(self) -> list[Packet]:
-        return [packet for inbox in self._inboxes for packet in inbox.drain()]
-
-    def wait(self, timeout_s: float | None) -> list[Packet]:
-        deadline = math.inf if timeout_s is None else clock.now_s() + timeout_s
-        while not (packets := self.drain()) and clock.now_s() < deadline:
-            clock.sleep_until(clock.now_s() + self._poll_s)
-        return packets
-
-
 class ZenohTokens:
     """Leave it by `with`, or keep it as long as the bus."""
 
@@ -191,10 +173,8 @@ class ZenohTokens:
 
     def drain(self) -> list[Token]:
         """What has changed since the last look, oldest first."""
-        changes: list[Token] = []
-        while (sample := self._subscriber.try_recv()) is not None:
-            changes.append(Token(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
-        return changes
+        samples = iter(self._subscriber.try_recv, None)
+        return [Token(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT) for sample in samples]
 
     def __enter__(self) -> Self:
         return self
