@@ -45,7 +45,7 @@ class Agent:
         self._patience_s = config.wait_for_peers_s if fleet.realtime else None
         self._localiser = Localiser(config, fleet, mav)
         self._controller = Hold()
-        self._inbox = Inbox(mav, fleet.mavs, epoch, fleet.rate_hz)
+        self._inbox = Inbox(mav, fleet.mavs, epoch)
         self._neighbours = Neighbours(fleet.mavs, fleet.rate_hz, config.lag_ticks(fleet.rate_hz))
         at_least_s = 3 / fleet.rate_hz
         stale_after_s, gone_after_s = max(at_least_s, config.stale_after_s), max(at_least_s, config.gone_after_s)

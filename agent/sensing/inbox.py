@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from agent.interface import messages, topics
 from agent.interface.bus import Packet
-from agent.sensing.stamps import Stamps
+from agent.sensing.own_time import JUMP_S, OwnTime
 
 OWN = "sensor"
 LOGGED = 1000  # keys and reasons
@@ -28,14 +28,13 @@ class Inbox:
     mav: int
     mavs: int
     epoch: int
-    rate_hz: float
     received: int = 0
     rejected: int = 0
     _logged: set[tuple[str, str]] = field(default_factory=set)
     _counts: dict[str, int] = field(default_factory=dict)  # since the last tick, by sender
 
     def __post_init__(self) -> None:
-        self._stamps = Stamps(self.rate_hz)
+        self._own_time = OwnTime()
 
     def next_tick(self) -> None:
         """Every sender may say something again."""
@@ -65,18 +64,12 @@ class Inbox:
         header, sender = messages.header(packet.payload, self.epoch), mav if topic.key.startswith("air/") else 0
         if header.sender != sender or not 1 <= mav <= self.mavs:
             raise messages.Rejected("sender", f"{header.sender} on the key of MAV {mav} of {self.mavs}")
-        if sender:
-            self._expect_time(self._stamps.peers(header.stamp_ns))
         message = messages.decode(topic.kind, packet.payload, self.epoch)
         if isinstance(message, messages.Survey) and len(message.poses) != 32 * self.mavs:
             raise messages.Rejected("malformed", f"a survey of {len(message.poses) // 32} MAVs, expected {self.mavs}")
-        if topic in (topics.VIO, topics.SIGHTINGS):
-            self._expect_time(self._stamps.own(header.stamp_ns))
+        if topic in (topics.VIO, topics.SIGHTINGS) and not self._own_time.believes(header.stamp_ns):
+            raise messages.Rejected("clock", f"{header.stamp_ns} ns, more than {JUMP_S:g} s after all before")
         return Received(topic, mav, message)
-
-    def _expect_time(self, wrong: str) -> None:
-        if wrong:
-            raise messages.Rejected("clock", wrong)
 
 
 def _source(key: str) -> str:

@@ -52,7 +52,7 @@ def odometry(mav=2, epoch=7, version=1, x=1.0):
     ],
 )
 def test_bad_packets_are_counted_and_logged_once_per_sender(key, payload, reason, caplog):
-    inbox = Inbox(mav=1, mavs=3, epoch=7, rate_hz=10.0)
+    inbox = Inbox(mav=1, mavs=3, epoch=7)
     with caplog.at_level(logging.WARNING):
         for _ in range(3):
             assert inbox.read(Packet(key, payload)) is None
@@ -63,7 +63,7 @@ def test_bad_packets_are_counted_and_logged_once_per_sender(key, payload, reason
 
 
 def test_logging_is_bounded_under_a_flood_of_keys(caplog):
-    inbox = Inbox(mav=1, mavs=3, epoch=7, rate_hz=10.0)
+    inbox = Inbox(mav=1, mavs=3, epoch=7)
     for k in range(3000):
         inbox.read(Packet(f"air/{k}/rubbish", b""))
     assert inbox.rejected == 3000
