@@ -45,7 +45,7 @@ def link():
         yield link
 
 
-@pytest.mark.parametrize(("protocol", "loss"), [("tcp", 0.03), ("udp", 0.03)])
+@pytest.mark.parametrize(("protocol", "loss"), [("tcp", 0.05), ("udp", 0.1)])
 def test_three_mavs_on_two_hosts_end_in_the_metrics_of_any_run(link, protocol, loss, tmp_path):
     (tmp_path / "apart.toml").write_text(EXPERIMENT)
     experiment = load(str(tmp_path / "apart.toml"))
@@ -53,7 +53,7 @@ def test_three_mavs_on_two_hosts_end_in_the_metrics_of_any_run(link, protocol, l
     for port, name in enumerate(names(experiment.fleet), start=7450):
         side = int(name in ("mav_2", "mav_3"))
         places[name] = Place(f"{protocol}/{link.addresses[side]}:{port}", inside=link.inside(side))
-    link.change(delay_ms=5, loss=0.0)
+    link.change(delay_ms=20, loss=0.0)
     outcome, summary = run(experiment, tmp_path / "run", False, Worsening(link, loss), places)
     assert outcome == Outcome()
     assert summary == json.loads((tmp_path / "run" / "summary.json").read_text())
