@@ -229,8 +229,8 @@ def test_a_burst_of_old_packets_is_one_replay_and_does_no_harm():
     burst = [[*packets, *(everything if k == healed else [])] for k, packets in enumerate(lost)]
     history = surveyed(ticks)
     done = []
-    predict = history._estimator.predict
-    history._estimator.predict = lambda *given: (done.append(1), predict(*given))
+    predict = history._estimator.predict_from
+    history._estimator.predict_from = lambda *given: (done.append(1), predict(*given))
     beliefs = []
     for k, believed in enumerate(links.fly(history, ticks, burst, STATION)):
         assert len(done) <= LAG + 1
