@@ -128,6 +128,8 @@ class Agent:
                 case messages.Odometry():
                     self._liveness.heard(received.mav, message.stamp_ns)
                     pose = messages.floats(message.pose)
+                    if self._neighbours.restarted(message.stamp_ns, received.mav, message.seq):
+                        self._localiser.begun_anew(self._neighbours.tick_of(message.stamp_ns), received.mav)
                     late = self._neighbours.put(message.stamp_ns, received.mav, odometry=pose)
                     if late is not None:
                         self._localiser.late(late, received.mav, odometry=pose)

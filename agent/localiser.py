@@ -38,6 +38,7 @@ class Localiser:
         self._history = History(config, fleet, station)
         self._registrar = Registrar(config, fleet.mavs, fleet.rate_hz)
         self._watchdog = Watchdog(self._registrar.filter, fleet.mavs, config.detector.P_D)
+        self._anew: set[int] = set()  # MAVs of which it is known that they have begun anew since the last tick
         self._needed = f"{config.localised_sigma_m:g} m and {config.localised_sigma_rad:g} rad are needed"
 
     @property
@@ -55,6 +56,11 @@ class Localiser:
         if self._history.late(tick, mav, odometry=odometry, seen=seen):
             self._registrar.late(tick, self._index[mav], odometry=odometry, spherical=spherical)
 
+    def begun_anew(self, tick: int, mav: int) -> None:
+        """The odometry of this MAV is another one from this tick on, as after a restart."""
+        self._history.forget_odometry(mav, tick)
+        self._anew.add(mav)
+
     def tick(self, tick: int, odometry: dict[int, Array], sets: list[DetectionSet]) -> Localised:
         """Takes in what was heard of a tick; its own odometry reading must be there.
 
@@ -64,7 +70,8 @@ class Localiser:
             sets: own first, then by number.
         """
         self._history.hear(tick, odometry, sets)
-        anew = self._history.begun_anew()
+        anew = sorted({*self._history.begun_anew(), *self._anew})
+        self._anew.clear()
         if anew:
             self._dismiss(anew, anew)
         self._history.estimate()

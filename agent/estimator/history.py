@@ -152,7 +152,8 @@ class History:
 
     def forget_odometry(self, mav: int, tick: int) -> None:
         """Of before this tick: there it began anew."""
-        assert self._now is not None
+        if self._now is None:
+            return
         self._since[mav - 1] = tick - 1
         self._readings[: max(tick - self._now - 1 + len(self._readings), 0), mav - 1] = np.nan
 
@@ -217,10 +218,9 @@ class History:
 
     def beliefs(self) -> Beliefs:
         """What is believed now."""
-        counts = self._counts
-        return self._estimator.beliefs()._replace(
-            innovations=counts.innovations, innovations_inside=counts.inside, lost_mass=counts.lost_mass
-        )
+        innovations, inside, lost = self._counts
+        found = self._estimator.beliefs()
+        return found._replace(innovations=innovations, innovations_inside=inside, lost_mass=lost)
 
     @property
     def members(self) -> list[int]:

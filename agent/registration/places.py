@@ -211,6 +211,8 @@ def rivals(view: PlaceView, poses: Array, within: float) -> Rivals:
         behind = total[parent, place]
         free = free[parent].copy()
         free[np.arange(len(free)), place] = False
+    if not len(chosen):  # what the beam has kept ends beyond the bound, what it has dropped is not known
+        return Rivals(poses[None].copy(), np.zeros(1), float(np.trace(deficit)), 0.0)
     where = np.empty_like(chosen)
     where[:, order] = chosen
     best = behind.min()

@@ -25,6 +25,7 @@ class Neighbours:
         self._mavs, self._rate_hz, self._lag = mavs, rate_hz, lag
         self._ticks: dict[int, Tick] = {}  # by number
         self._now: int | None = None  # the last tick that was taken
+        self._newest: dict[int, tuple[int, int]] = {}  # by MAV: tick and sequence number of its newest odometry
         self.late = 0  # beyond the lag
         self.duplicate = 0
         self.unbelieved = 0  # off the beat, or too far ahead
@@ -37,16 +38,27 @@ class Neighbours:
         beat = stamp_ns * self._rate_hz / 1e9
         return abs(beat - round(beat)) <= OFF_BEAT
 
+    def _believed(self, stamp_ns: int) -> bool:
+        return self._on_beat(stamp_ns) and (self._now is None or self.tick_of(stamp_ns) <= self._now + AHEAD)
+
     def expects(self, stamp_ns: int) -> bool:
         """Whether this is the time of a tick that is not over."""
         return self._on_beat(stamp_ns) and (self._now is None or self.tick_of(stamp_ns) > self._now)
+
+    def restarted(self, stamp_ns: int, mav: int, seq: int) -> bool:
+        """Whether the odometry with this sequence number shows that its sender has begun to count anew."""
+        tick, before = self._newest.get(mav, (-1, -1))
+        if not self._believed(stamp_ns) or self.tick_of(stamp_ns) <= tick:
+            return False
+        self._newest[mav] = (self.tick_of(stamp_ns), seq)
+        return seq <= before
 
     def put(
         self, stamp_ns: int, mav: int, *, odometry: Array | None = None, detections: Array | None = None
     ) -> int | None:
         """Keeps one reading or set; returns its tick if that is over and the data is new and of use, else None."""
         number = self.tick_of(stamp_ns)
-        if not self._on_beat(stamp_ns) or (self._now is not None and number > self._now + AHEAD):
+        if not self._believed(stamp_ns):
             self.unbelieved += 1
             return None
         over = self._now is not None and number <= self._now

@@ -9,7 +9,7 @@ from agent.interface import messages as m
 from agent.interface import topics
 from agent.interface.bus import MemoryBus
 from agent.interface.fleet import Fleet
-from agent.interface.frames import relative_pose
+from agent.interface.frames import compose, relative_pose
 from tests import team
 
 EPOCH = 7
@@ -44,11 +44,11 @@ class Rig:
             self.send(topics.VIO, i, m.Vio, z[:3].tobytes(), quaternion.tobytes())
             self.send(topics.SIGHTINGS, i, m.Sightings, m.spherical_block(tick.sets[i]))
 
-    def shared(self, of, sets_of_tick):
-        """What these MAVs would tell their peers: odometry of this tick, detection sets of that one."""
+    def shared(self, of, sets_of_tick, since=0):
+        """What these MAVs, counting since that tick, would tell: odometry of this tick, detection sets of that one."""
         for i in of:
             z = self.ticks[self.k].odometry[i]
-            self.send(topics.ODOMETRY, i, m.Odometry, z.tobytes(), sender=i)
+            self.send(topics.ODOMETRY, i, m.Odometry, z.tobytes(), sender=i, since=since)
             if sets_of_tick >= 0:
                 block = m.spherical_block(self.ticks[sets_of_tick].sets[i])
                 self.send(topics.DETECTIONS, i, m.Detections, block, sender=i, tick=sets_of_tick)
@@ -60,9 +60,9 @@ class Rig:
             self.send(topics.ODOMETRY, i, m.Odometry, self.ticks[tick].odometry[i].tobytes(), sender=i, tick=tick)
             self.send(topics.DETECTIONS, i, m.Detections, block, sender=i, tick=tick)
 
-    def send(self, topic, mav, kind, *fields, sender=0, tick=None):
+    def send(self, topic, mav, kind, *fields, sender=0, tick=None, since=0):
         tick = self.k if tick is None else tick
-        message = kind(m.VERSION, EPOCH, sender, tick, self.fleet.stamp_ns(tick), *fields)
+        message = kind(m.VERSION, EPOCH, sender, tick - since, self.fleet.stamp_ns(tick), *fields)
         self.bus.publish(topics.key(topic, mav), m.encode(message))
 
     def settle(self, agents=None):
@@ -223,6 +223,27 @@ def test_repetitions_change_no_bit_and_are_counted():
         estimates.append([(each.stamp_ns, each.poses, each.covariances) for each in found])
         assert status.duplicate == (times - 1) * 6 * 17  # those after the last tick are in no status
     assert estimates[0] == estimates[1]
+
+
+def test_a_peer_that_counts_anew_is_searched_again_and_found():
+    """Its process was started again after 2 s, and its odometry began where it stands: no jump that would show."""
+    rig = Rig(mavs=4, places=SCATTERED, realtime=True, config=IMPATIENT, ticks=70)
+    began, states = rig.ticks[40].odometry[3], []
+    for k in range(70):
+        rig.k = k
+        rig.shared(of=[2, 4], sets_of_tick=k)
+        if k < 20:
+            rig.shared(of=[3], sets_of_tick=k)
+        elif k >= 40:
+            rig.ticks[k].odometry[3] = compose(np.array([0, 0, 0, 0.2]), relative_pose(began, rig.ticks[k].odometry[3]))
+            rig.shared(of=[3], sets_of_tick=k, since=40)
+        rig.sensors(of=[1])
+        rig.settle(rig.agents[:1])
+        states.append(list(station_of(rig)[0][-1].states))
+    localised = [m.LOCALISED] * 4
+    assert states[19] == localised
+    assert states[40] == [m.LOCALISED, m.LOCALISED, m.SEARCHING, m.LOCALISED]
+    assert states[-1] == localised
 
 
 def test_a_flood_of_any_stamps_changes_no_bit():

@@ -159,3 +159,14 @@ def test_up_to_where_it_says_it_knows_all(seed):
     behind = np.sort(score.max() - score)
     assert found.known_to < 60
     np.testing.assert_allclose(found.behind[found.behind < found.known_to], behind[behind < found.known_to], atol=1e-9)
+
+
+def test_if_the_beam_keeps_nobody_who_comes_to_an_end_nothing_is_known():
+    """Seven MAVs of which nobody can be on one place but the one with the most doubts, so the beam fills up without."""
+    rng = np.random.default_rng(0)
+    V = -rng.uniform(0, 40, (7, 7))
+    V[:, 2], V[1, 2] = -2000.0, -90.0
+    V[2, 2] = -1300.0
+    found = rivals(PlaceView(V, np.zeros((7, 7))), np.zeros((7, 4)), within=241.0)
+    assert len(found.behind) >= 1
+    assert found.known_to < 241.0

@@ -137,3 +137,11 @@ def test_what_waits_is_bounded_whatever_is_sent(began):
     if began:
         assert neighbours.put(stamp(101), 1, odometry=np.zeros(4)) is None
         assert set(neighbours.take(101).odometry) == {1, 2}
+
+
+def test_who_counts_anew_has_been_restarted_and_whose_packets_are_out_of_order_has_not():
+    neighbours = Neighbours(2, 10.0, lag=10)
+    arrived = [(0, 5), (1, 6), (3, 8), (2, 7), (3, 8), (60, 0), (4, 9), (61, 1), (120, 0), (121, 40)]
+    found = [neighbours.restarted(stamp(tick), 2, seq) for tick, seq in arrived]
+    assert found == [False] * 5 + [True, False, False, True, False]
+    assert not neighbours.restarted(stamp(200), 1, 0)  # another
