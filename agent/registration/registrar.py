@@ -80,7 +80,7 @@ class Registrar:
         self._round_at: int | None = None
         self._names = self._rounds = 0
         self._contested = False  # in the last round
-        self._fruitless = 0  # challenges since one led that had not been challenged before, or none did fit
+        self._fruitless = 0  # challenges since a new one led or none did fit; at most MOST_PATIENT
 
     def tick(self, tick: int, odometry: dict[int, Array], sets: dict[int, Array]) -> Frame:
         """Begins a tick with what was heard of it, by index; the station's own odometry is among it."""
@@ -139,7 +139,7 @@ class Registrar:
             return None
         self._drop_those_against(team)
         # Where challenges have decided nothing, there is no hurry.
-        spent, slices, budget = 0.0, 0, self._budget / min(max(self._fruitless, 1), MOST_PATIENT)
+        spent, slices, budget = 0.0, 0, self._budget / max(self._fruitless, 1)
         while spent < budget or slices < LEAST_SLICES:
             slices += 1
             self._job = self._job or self._next_job()
@@ -239,14 +239,12 @@ class Registrar:
     def _test(self, verdict: Verdict) -> Job:
         """Tests the leader against those who would exchange identities on its places."""
         assert self._hypotheses is not None
-        name, past = (
-            int(self._hypotheses.names[verdict.leader]),
-            self._past(min(places.FRAMES << self._fruitless, WINDOW)),
-        )
+        name = int(self._hypotheses.names[verdict.leader])
+        past = self._past(min(places.FRAMES << self._fruitless, WINDOW))  # what a few ticks do not tell, more may
         found = yield from challenge(self._config, self._hypotheses, verdict.leader, past, self._team.placed)
         yield from self._add(found.rivals, past[-1])
         self._challenged[name] = Challenged(self._done, found.saturated)
-        self._fruitless += 1
+        self._fruitless = min(self._fruitless + 1, MOST_PATIENT)
 
     def _add(self, placements: list[Placement], newest: Frame) -> Job:
         """New hypotheses of this frame, once they have caught up."""
