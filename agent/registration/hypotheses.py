@@ -91,6 +91,12 @@ class Hypotheses:
         part = self.evidence[which, WINDOW - ago - ticks : WINDOW - ago]
         return float(part.sum()) if np.isfinite(part).all() else -np.inf
 
+    def spread(self, ticks: int) -> float:
+        """Nats between the best and the worst in so many last ticks; those that began later aside."""
+        earned = self.evidence[:, -ticks:].sum(1)
+        earned = earned[np.isfinite(earned)]
+        return float(np.ptp(earned)) if len(earned) else 0.0
+
     def worth(self, most: int, missing: Mask) -> list[int]:
         """Whom to keep: the leader, for every MAV in question (N,) the best that places it elsewhere, the best of the
         rest. Dropped by score alone, those left might by chance agree on some MAV."""

@@ -16,7 +16,7 @@ from agent.interface.frames import Array
 from agent.registration import places, replay
 from agent.registration.bank import Filter, Team
 from agent.registration.candidates import Placement, seen_from_station
-from agent.registration.challenge import challenge
+from agent.registration.challenge import NEAR, challenge
 from agent.registration.hypotheses import WINDOW, Hypotheses
 from agent.registration.proposals import propose
 from agent.registration.reasons import Situation, situation
@@ -29,9 +29,10 @@ WIDER = 3  # times as many placements are looked at, where many fit
 LEAST_SLICES = 2  # a tick, however little work it may do: a replay has to gain on the time that goes by
 TOGETHER = 8  # hypotheses that are replayed at once
 HASTY_ROUND_TICKS = 3  # between rounds of proposals while some MAV has no place that fits
-ROUND_TICKS, MOST_PATIENT = 20, 4  # between rounds that change nothing, at first; later so many times as long
-CHALLENGE_TICKS, LAZY_CHALLENGE_TICKS = 4, 8  # between challenges of one leader: at first, and after fruitless ones
+ROUND_TICKS, LONGER = 20, 4  # between rounds that change nothing, at first; later at most so many times as long
+CHALLENGE_TICKS = (4, 4, 8, 8, 8, 8, 16)  # between challenges of one leader, by how many have been fruitless
 CHALLENGE_HOLDS_TICKS = 5
+UNLIKE_TICKS = 3  # in which it shows that hypotheses that were equals are so no longer
 
 Job = Generator[float, None, None]
 Mask = npt.NDArray[np.bool_]
@@ -80,7 +81,9 @@ class Registrar:
         self._round_at: int | None = None
         self._names = self._rounds = 0
         self._contested = False  # in the last round
-        self._fruitless = 0  # challenges since a new one led or none did fit; at most MOST_PATIENT
+        self._fruitless = 0  # challenges since a new one led or none did fit
+        self._tested_at: int | None = None  # the tick of the last challenge
+        self._alike = False  # it left everybody saturated, and all have done alike since: who leads is no news then
 
     def tick(self, tick: int, odometry: dict[int, Array], sets: dict[int, Array]) -> Frame:
         """Begins a tick with what was heard of it, by index; the station's own odometry is among it."""
@@ -190,15 +193,21 @@ class Registrar:
             due = (verdict.clear & missing).any() and self._lately(CHALLENGE_HOLDS_TICKS) is None
             unfit = not verdict.fitting.any()  # its places may be right, and its names wrong
             rivalled = unfit or (verdict.rivalled & verdict.fitting & missing).any()
-            pause = LAZY_CHALLENGE_TICKS if self._fruitless > 1 else CHALLENGE_TICKS
-            if due or (rivalled and self._lately(pause) is None):
+            if due or (rivalled and self._may_test()):
                 return self._test(verdict)
         unplaced = verdict is None or (verdict.ticks >= LEAST_TICKS and (~verdict.fitting & ~self._settled()).any())
-        pause = HASTY_ROUND_TICKS if unplaced or self._wide() else ROUND_TICKS * min(2**self._fruitless, MOST_PATIENT)
+        pause = HASTY_ROUND_TICKS if unplaced or self._wide() else ROUND_TICKS * min(2**self._fruitless, LONGER)
         if self._round_at is None or self._done - self._round_at >= pause:
             self._round_at, self._rounds = self._done, self._rounds + 1
             return self._round(verdict if unplaced and self._rounds % 2 == 0 else None)
         return None
+
+    def _may_test(self) -> bool:
+        """Whether there has been no challenge of the leader lately; or of whom it takes turns with."""
+        pause = CHALLENGE_TICKS[self._fruitless]
+        if self._alike and self._tested_at is not None:
+            return self._done - self._tested_at > pause
+        return self._lately(pause) is None
 
     def _round(self, verdict: Verdict | None) -> Job:
         """Proposes joint placements: from the team, or from all whom the leading hypothesis has right."""
@@ -213,8 +222,7 @@ class Registrar:
 
     def _wide(self) -> bool:
         """Whether to look once more, and wider: so many placements fit, but not for symmetry, as far as one knows."""
-        challenged = self._lately(WINDOW)
-        return self._contested and not (challenged is not None and challenged.saturated.all())
+        return self._contested and not self._alike
 
     def _team_at(self, frame: Frame) -> Team:
         known = self._window.at(self._done)
@@ -244,7 +252,8 @@ class Registrar:
         found = yield from challenge(self._config, self._hypotheses, verdict.leader, past, self._team.placed)
         yield from self._add(found.rivals, past[-1])
         self._challenged[name] = Challenged(self._done, found.saturated)
-        self._fruitless = min(self._fruitless + 1, MOST_PATIENT)
+        self._tested_at, self._alike = self._done, bool(found.saturated[~self._team.placed].all())
+        self._fruitless = min(self._fruitless + 1, len(CHALLENGE_TICKS) - 1)
 
     def _add(self, placements: list[Placement], newest: Frame) -> Job:
         """New hypotheses of this frame, once they have caught up."""
@@ -274,7 +283,10 @@ class Registrar:
             self._job, self._challenged = None, {}  # what was begun in other circumstances is of no use
         names = self._hypotheses.names.tolist()
         self._challenged = {name: each for name, each in self._challenged.items() if name in names}
-        if names[self._verdict.leader] not in self._challenged or not self._verdict.fitting.any():
+        unlike = self._alike and self._hypotheses.spread(UNLIKE_TICKS) > NEAR * UNLIKE_TICKS**0.5
+        self._alike = self._alike and not unlike
+        new = names[self._verdict.leader] not in self._challenged and not self._alike
+        if unlike or new or not self._verdict.fitting.any():
             self._fruitless = 0  # something has changed
 
     def _lately(self, ticks: int) -> Challenged | None:

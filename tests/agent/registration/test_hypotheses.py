@@ -142,6 +142,15 @@ def test_ticks_that_tell_nothing_are_not_taken_for_noise():
     assert 0.5 * 3 * np.sqrt(telling) < walk < 2 * 3 * np.sqrt(telling)
 
 
+def test_how_far_the_last_ticks_spread_them():
+    made = recorded(places(np.random.default_rng(10), 3, 4), [[0.0, 50, 1, 2], [0.0, 0, 5, 6], [0.0, 0, 3, 3]])
+    assert made.spread(2) == 8.0
+    made.evidence[1, -2] = np.nan  # it has begun in between
+    assert made.spread(2) == 3.0
+    made.evidence[:, -1] = np.nan
+    assert made.spread(2) == 0.0
+
+
 def test_what_was_earned_in_which_ticks():
     evidence = np.arange(1.0, 11)[None]
     made = recorded(np.zeros((1, 2, 4)), evidence)

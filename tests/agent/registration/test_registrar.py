@@ -6,7 +6,9 @@ import pytest
 from agent.config import AgentConfig, Registration
 from agent.interface.frames import wrap
 from agent.interface.messages import AMBIGUOUS
+from agent.registration import registrar as module
 from agent.registration.bank import Team
+from agent.registration.challenge import challenge
 from agent.registration.registrar import Registrar
 from agent.registration.verdict import LEAST_TICKS
 from agent.registration.window import carried
@@ -110,6 +112,31 @@ def test_in_a_regular_line_nobody_is_ever_localised(station):
 def test_in_a_regular_circle_nobody_is_ever_localised(mavs, seed):
     own = registered(regular_circle([2, seed], mavs, 40))
     assert own.commits == []
+
+
+def challenged_in(ticks, monkeypatch):
+    """The ticks in which station 1 has begun to test a leader."""
+    begun = []
+    monkeypatch.setattr(module, "challenge", lambda *of: begun.append(of[3][-1].tick) or challenge(*of))
+    assert rightly(registered(ticks), ticks)
+    return begun
+
+
+def test_equals_that_lead_in_turns_are_tested_ever_less_often(monkeypatch):
+    begun = challenged_in(regular_circle([3, 0], 7, 60), monkeypatch)
+    assert len([k for k in begun if k >= 30]) <= 3
+
+
+def test_when_equals_differ_at_last_they_are_soon_told_apart():
+    """A circle that takes off to different heights after a long time of rest."""
+    angle = 2 * np.pi * np.arange(7) / 7
+    places = 1.35 * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    up = np.outer(np.arange(7), [0, 0, 0.16])  # m/s
+    ticks = list(teams.fly(np.random.default_rng(3), 7, 60, lambda t: places + max(t - 4.5, 0) * up))
+    own = registered(ticks)
+    assert own.team.placed.all()
+    assert rightly(own, ticks)
+    assert own.commits[0][2] > 45
 
 
 def test_the_same_inputs_give_the_same_bits():
