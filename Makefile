@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: run test check bench decidable fuzz soak lock clean
+.PHONY: run test check bench decidable fuzz schedules soak lock clean
 .DEFAULT_GOAL := help
 
 help:
@@ -13,6 +13,7 @@ help:
 	@echo "make bench  time one station update against the plain one, N = 3..9 (runs/bench.json)"
 	@echo "make decidable  measure which starts can be decided (deploy/pictures/decidable.png)"
 	@echo "make fuzz   100,000 hostile messages to one agent (runs/fuzz.json)"
+	@echo "make schedules  a thousand random fault schedules (runs/schedules.json; SEEDS=0:100 for some)"
 	@echo "make soak   ten minutes of random kills and stops (runs/soak.json; SECONDS=60 for a short one)"
 	@echo "make lock   renew requirements.lock and requirements-test.lock from pyproject.toml"
 
@@ -37,6 +38,10 @@ decidable: .venv/ready-to-test
 
 fuzz: .venv/ready-to-test
 	$(BIN)/python -m tests.bench.fuzz
+
+SEEDS ?= 0:1000
+schedules: .venv/ready-to-test
+	$(BIN)/python -m tests.bench.schedules $(SEEDS)
 
 SECONDS ?= 600
 soak: .venv/ready-to-test
