@@ -84,6 +84,7 @@ class History:
         self._readings = np.full((2 * self._lag + 2, fleet.mavs, 4), np.nan)
         self._since = np.full(fleet.mavs, -1, np.intp)  # the tick in which the odometry of each began anew
         self._news: list[tuple[int, int]] = []  # tick and MAV of readings that came since the last `estimate`
+        self._revised = False  # whether since then something came for a tick that was over
         self._stations = [station, *(mav for mav in fleet.ids if mav != station)]  # in the order of their updates
         self._counts = NOTHING
         self.station_us = 0  # wall time of the last tick's station updates, their mean
@@ -98,6 +99,7 @@ class History:
         kept = self._at(tick)
         if kept is None or self._now is None or tick <= max(self._now - self._lag, self._since[mav - 1]):
             return False  # when the next tick is there, it will be out of reach
+        self._revised = True
         if odometry is not None:
             self._read(tick, mav, odometry)
         if seen is not None:
@@ -143,12 +145,18 @@ class History:
         """MAVs of which a reading came that is not of the same odometry as those before; between `hear` and
         `estimate`."""
         found: dict[int, int] = {}
-        for tick, mav in sorted(self._news):
+        for tick, mav in sorted(self._news) if self._any_jumps() else ():
             if mav not in found and self._is_anew(tick, mav):
                 found[mav] = tick
         for mav, tick in found.items():
             self.forget_odometry(mav, tick)
         return sorted(found)
+
+    def _any_jumps(self) -> bool:
+        """Whether any reading that came may be of another odometry: not if all are news of now, and near the last."""
+        rows = [mav - 1 for tick, mav in self._news if tick == self._now]
+        moved = self._readings[-1, rows] - self._readings[-2, rows]
+        return len(rows) < len(self._news) or not self._estimator.motion.model.may_move(moved, 1).all()
 
     def forget_odometry(self, mav: int, tick: int) -> None:
         """Of before this tick: there it began anew."""
@@ -171,13 +179,20 @@ class History:
 
     def estimate(self) -> None:
         """Brings the belief up to now, with all that has come."""
+        newest = len(self._ticks) - 1
+        nothing_lost = np.isfinite(self._readings[-newest - 1 :, :, 3]).all()
+        if newest > 0 and nothing_lost and not self._revised:  # what was done of the others stands
+            nowhere, then = np.zeros(self._fleet.mavs, np.intp), self._ticks[-1]
+            then.given = _Given(self._readings[-1].copy(), nowhere, [mav for mav in self._stations if mav in then.sets])
+            first = newest
+        else:
+            planned, first = self._plan(), 0
+            while first < newest and planned[first].same(self._ticks[first].given):
+                first += 1
+            for kept, given in zip(self._ticks[first:], planned[first:], strict=True):
+                kept.given = given
         self._news.clear()
-        planned = self._plan()
-        first = 0
-        while first < len(planned) - 1 and planned[first].same(self._ticks[first].given):
-            first += 1
-        for kept, given in zip(self._ticks[first:], planned[first:], strict=True):
-            kept.given = given
+        self._revised = False
         self._run(first)
 
     def _plan(self) -> list[_Given]:

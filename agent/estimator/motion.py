@@ -79,6 +79,12 @@ class Model:
         of_one: Array = 0.5 * self.tick_s**2 * ticks * (ticks + self.mean)
         return np.multiply.outer(of_one, _of_pose(*accelerations)) ** 2
 
+    def may_move(self, moved: Array, ticks: int) -> Mask:
+        """(...) whether anybody flies that far (..., 4; m, rad) in so many ticks; not if it is NaN."""
+        time_s, straight = ticks * self.tick_s, moved[..., :3]
+        near = np.vecdot(straight, straight) <= (FASTEST_M_S * time_s) ** 2
+        return np.asarray(near & (np.abs(wrap(moved[..., 3])) <= FASTEST_RAD_S * time_s))
+
     @cached_property
     def least(self) -> Array:
         return self.square_off(LEAST, self.ahead)
@@ -236,9 +242,9 @@ class Motion:
         model, silence = self.model, unheard + ticks
         if not np.isfinite(last[3]):
             return False
-        moved, time_s = reading - last, ticks * model.tick_s
+        moved = reading - last
         moved[3] = wrap(moved[3])
-        if math.dist(moved[:3], (0, 0, 0)) > FASTEST_M_S * time_s or abs(moved[3]) > FASTEST_RAD_S * time_s:
+        if not model.may_move(moved, ticks):
             return True
         if silence == 1:
             return False
