@@ -109,7 +109,6 @@ class _Watched(Agent):
         lag = history._lag
         for what, size, most in (
             ("ticks of the history", len(history._ticks), lag + 1),
-            ("readings of the history", len(history._readings), 2 * lag + 2),
             ("frames of the registration", len(self._localiser._registrar._window.frames), WINDOW + lag),
             ("sets waited for", len(self._localiser._registrar._waiting._came), self._fleet.mavs * (lag + 1)),
             ("ticks of the neighbours", len(self._neighbours._ticks), neighbours.AHEAD + lag + 1),

@@ -16,9 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from agent.config import AgentConfig
-from agent.estimator.completion import completed
 from agent.estimator.estimator import NOTHING, Beliefs, Counts, Estimator, Snapshot
 from agent.estimator.joint_update import DetectionSet
+from agent.estimator.readings import Readings
 from agent.estimator.state import Poses
 from agent.interface import clock
 from agent.interface.fleet import Fleet
@@ -80,11 +80,8 @@ class History:
         self._estimator = Estimator(config, fleet, station)
         self._ticks: list[_Tick] = []  # oldest first, without gaps
         self._now: int | None = None
-        # Of the ticks that are kept, the newest last, and of as many before: what is lost lies between two readings.
-        self._readings = np.full((2 * self._lag + 2, fleet.mavs, 4), np.nan)
-        self._since = np.full(fleet.mavs, -1, np.intp)  # the tick in which the odometry of each began anew
-        self._news: list[tuple[int, int]] = []  # tick and MAV of readings that came since the last `estimate`
-        self._revised = False  # whether since then something came for a tick that was over
+        self._readings = Readings(fleet.mavs, self._lag)
+        self._revised = False  # whether something came for a tick that is over, since the last `estimate`
         self._stations = [station, *(mav for mav in fleet.ids if mav != station)]  # in the order of their updates
         self._counts = NOTHING
         self.station_us = 0  # wall time of the last tick's station updates, their mean
@@ -97,11 +94,13 @@ class History:
     def late(self, tick: int, mav: int, *, odometry: Array | None = None, seen: DetectionSet | None = None) -> bool:
         """Takes in what came too late for its tick; False if it is of no use any more."""
         kept = self._at(tick)
-        if kept is None or self._now is None or tick <= max(self._now - self._lag, self._since[mav - 1]):
+        if kept is None or self._now is None or tick <= self._now - self._lag:
             return False  # when the next tick is there, it will be out of reach
+        if not self._readings.belongs(tick, mav):
+            return False
         self._revised = True
         if odometry is not None:
-            self._read(tick, mav, odometry)
+            self._readings.put(tick, mav, odometry)
         if seen is not None:
             kept.sets.setdefault(mav, seen)
         return True
@@ -110,15 +109,8 @@ class History:
         """Takes in what came in time for the next tick, its own odometry reading included."""
         self._open(tick)
         for mav, reading in odometry.items():
-            self._read(tick, mav, reading)
+            self._readings.put(tick, mav, reading)
         self._ticks[-1].sets = {one.station: one for one in sets}
-
-    def _read(self, tick: int, mav: int, reading: Array) -> None:
-        assert self._now is not None
-        row = self._readings[tick - self._now - 1]
-        if np.isnan(row[mav - 1, 3]):
-            row[mav - 1] = reading
-            self._news.append((tick, mav))
 
     def _open(self, tick: int) -> None:
         """Begins the record of a tick, and of those that were missed since the last."""
@@ -133,8 +125,7 @@ class History:
         kept = min(missed, self._lag)
         self._ticks += [_Tick(number) for number in range(tick - kept, tick + 1)]
         del self._ticks[: -self._lag - 1]
-        new = np.full((min(missed + 1, len(self._readings)), self._fleet.mavs, 4), np.nan)
-        self._readings = np.concatenate([self._readings[len(new) :], new])
+        self._readings.advance(tick, missed + 1)
         self._now = tick
 
     def _at(self, tick: int) -> _Tick | None:
@@ -144,46 +135,21 @@ class History:
     def begun_anew(self) -> list[int]:
         """MAVs of which a reading came that is not of the same odometry as those before; between `hear` and
         `estimate`."""
-        found: dict[int, int] = {}
-        for tick, mav in sorted(self._news) if self._any_jumps() else ():
-            if mav not in found and self._is_anew(tick, mav):
-                found[mav] = tick
-        for mav, tick in found.items():
-            self.forget_odometry(mav, tick)
-        return sorted(found)
-
-    def _any_jumps(self) -> bool:
-        """Whether any reading that came may be of another odometry: not if all are news of now, and near the last."""
-        rows = [mav - 1 for tick, mav in self._news if tick == self._now]
-        moved = self._readings[-1, rows] - self._readings[-2, rows]
-        return len(rows) < len(self._news) or not self._estimator.motion.model.may_move(moved, 1).all()
+        first = self._ticks[0]
+        then = first.before.motion if first.before is not None else self._estimator.motion
+        return self._readings.begun_anew(first.number, then, self._estimator.motion.velocities[-1])
 
     def forget_odometry(self, mav: int, tick: int) -> None:
         """Of before this tick: there it began anew."""
-        if self._now is None:
-            return
-        self._since[mav - 1] = tick - 1
-        self._readings[: max(tick - self._now - 1 + len(self._readings), 0), mav - 1] = np.nan
-
-    def _is_anew(self, tick: int, mav: int) -> bool:
-        first = self._ticks[0]
-        motion = first.before.motion if first.before is not None else self._estimator.motion
-        index = tick - self._ticks[-1].number - 1 + len(self._readings)
-        read = np.flatnonzero(np.isfinite(self._readings[:index, mav - 1, 3]))
-        if len(read):
-            last, unheard, ticks = self._readings[read[-1], mav - 1], 0, index - int(read[-1])
-        else:
-            last, unheard, ticks = motion.here[mav - 1], int(motion.unheard[mav - 1]), tick - first.number + 1
-        velocity = self._estimator.motion.velocities[-1, mav - 1]
-        return motion.begun_anew(last, self._readings[index, mav - 1], ticks, unheard, velocity)
+        if self._now is not None:
+            self._readings.forget(mav, tick)
 
     def estimate(self) -> None:
         """Brings the belief up to now, with all that has come."""
         newest = len(self._ticks) - 1
-        nothing_lost = np.isfinite(self._readings[-newest - 1 :, :, 3]).all()
-        if newest > 0 and nothing_lost and not self._revised:  # what was done of the others stands
-            nowhere, then = np.zeros(self._fleet.mavs, np.intp), self._ticks[-1]
-            then.given = _Given(self._readings[-1].copy(), nowhere, [mav for mav in self._stations if mav in then.sets])
+        if newest > 0 and not self._revised and self._readings.whole(newest + 1):  # what was done of the others stands
+            then, nowhere = self._ticks[-1], np.zeros(self._fleet.mavs, np.intp)
+            then.given = _Given(self._readings.newest.copy(), nowhere, self._used(then))
             first = newest
         else:
             planned, first = self._plan(), 0
@@ -191,18 +157,20 @@ class History:
                 first += 1
             for kept, given in zip(self._ticks[first:], planned[first:], strict=True):
                 kept.given = given
-        self._news.clear()
+        self._readings.read()
         self._revised = False
         self._run(first)
 
     def _plan(self) -> list[_Given]:
         """What each of the ticks is to be estimated from."""
-        z, between = completed(self._readings, self._lag + 1)
-        kept = len(self._ticks)
+        z, between = self._readings.completed(len(self._ticks))
         return [
-            _Given(z_then, between_then, [mav for mav in self._stations if mav in then.sets])
-            for then, z_then, between_then in zip(self._ticks, z[-kept:], between[-kept:], strict=True)
+            _Given(z_then, between_then, self._used(then))
+            for then, z_then, between_then in zip(self._ticks, z, between, strict=True)
         ]
+
+    def _used(self, tick: _Tick) -> list[int]:
+        return [mav for mav in self._stations if mav in tick.sets]
 
     def _run(self, first: int) -> None:
         """Estimates these ticks, from this one on to the newest."""
@@ -312,4 +280,4 @@ class History:
         self._estimator = Estimator(self._config, self._fleet, self._station)
         newest = self._ticks[-1]
         self._ticks = [_Tick(newest.number, newest.sets)]
-        self._readings[:-1] = np.nan
+        self._readings.forget_all()
