@@ -17,7 +17,7 @@ def main(wrapped: Callable[[ZenohBus, Start], Bus] = lambda bus, _: bus) -> int:
     process.stop_on_signals()
     try:
         start = process.arguments("agent")
-        chosen = config.parse(start.experiment["agent"])
+        chosen = config.parse(start.experiment["agent"], start.fleet)
     except BadExperiment as error:
         print(f"agent: {error}", file=sys.stderr)
         return 2

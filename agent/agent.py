@@ -7,11 +7,14 @@ long that takes, unless the bus says that nothing more will come, in real time a
 
 import logging
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from agent.config import AgentConfig
 from agent.controller.hold import Hold
+from agent.controller.surroundings import Surroundings
+from agent.controller.trajectory import Sample
 from agent.estimator.estimator import Beliefs
 from agent.estimator.joint_update import DetectionSet
 from agent.interface import clock, messages, topics
@@ -30,6 +33,9 @@ from agent.sensing.neighbours import Neighbours
 from agent.sensing.own import OwnSensors
 from agent.sensing.queues import SeveralInboxes
 
+if TYPE_CHECKING:
+    from agent.controller.pilot import Pilot
+
 log = logging.getLogger("agent")
 
 SENSOR_POLL_S = 0.002  # real time: between looks for its own sensors
@@ -44,7 +50,12 @@ class Agent:
         self._fleet, self._mav, self._epoch, self._bus = fleet, mav, epoch, bus
         self._patience_s = config.wait_for_peers_s if fleet.realtime else None
         self._localiser = Localiser(config, fleet, mav)
-        self._controller = Hold()
+        self._pilot: Pilot | None = None
+        if config.mission is not None:
+            from agent.controller import pilot  # here, because only a mission needs an optimiser
+
+            self._pilot = pilot.Pilot(config.mission, mav)
+        self._hold = Hold()
         self._inbox = Inbox(mav, fleet.mavs, epoch)
         self._neighbours = Neighbours(fleet.mavs, fleet.rate_hz, config.lag_ticks(fleet.rate_hz))
         at_least_s = 3 / fleet.rate_hz
@@ -130,7 +141,7 @@ class Agent:
                     pose = messages.floats(message.pose)
                     if self._neighbours.restarted(message.stamp_ns, received.mav, message.seq):
                         self._localiser.begun_anew(self._neighbours.tick_of(message.stamp_ns), received.mav)
-                    late = self._neighbours.put(message.stamp_ns, received.mav, odometry=pose)
+                    late = self._neighbours.put(message.stamp_ns, received.mav, odometry=pose, intent=message.intent)
                     if late is not None:
                         self._localiser.late(late, received.mav, odometry=pose)
                 case messages.Detections():
@@ -165,7 +176,8 @@ class Agent:
         self._inbox.next_tick()
         spherical = detections.levelled(reading.sightings, levelled.tilt)
         block = messages.spherical_block(spherical)
-        self._publish(topics.ODOMETRY, messages.Odometry, stamp_ns, levelled.pose.tobytes())
+        about_to = () if self._pilot is None else (self._pilot.intent,)
+        self._publish(topics.ODOMETRY, messages.Odometry, stamp_ns, levelled.pose.tobytes(), *about_to)
         self._publish(topics.DETECTIONS, messages.Detections, stamp_ns, block)
         # Its own data as its peers receive it, so that all agents estimate from the same numbers.
         self._neighbours.put(stamp_ns, self._mav, odometry=levelled.pose, detections=messages.read_spherical(block))
@@ -197,8 +209,26 @@ class Agent:
         self._publish_registration(stamp_ns, situation)
         self._publish_estimate(stamp_ns, beliefs)
         self._publish_status(stamp_ns, tick_us, (self._localiser.station_us,))
-        self._publish_command(stamp_ns, tick.odometry[self._mav])
+        self._publish_command(stamp_ns, self._wanted(stamp_ns, tick.odometry[self._mav], beliefs))
         return True
+
+    def _wanted(self, stamp_ns: int, odometry: Array, beliefs: Beliefs) -> Sample:
+        """What the controller wants to be flown, in the odometry frame."""
+        if self._pilot is None:
+            return self._hold.fly(odometry)
+        variances = beliefs.covariances[:, range(3), range(3)]
+        return self._pilot.fly(
+            Surroundings(
+                stamp_ns,
+                odometry,
+                beliefs.poses,
+                np.sqrt(variances.max(axis=1)),
+                self._localiser.frames(),
+                beliefs.states == messages.LOCALISED,
+                np.array([state != messages.GONE for state in self._liveness.states]),
+                self._neighbours.intents(),
+            )
+        )
 
     def _publish_registration(self, stamp_ns: int, situation: Situation | None) -> None:
         """While somebody is not localised, and once more when everybody is."""
@@ -227,10 +257,9 @@ class Agent:
             beliefs.innovations_inside,
         )
 
-    def _publish_command(self, stamp_ns: int, odometry: Array) -> None:
-        pose = self._controller.setpoint(odometry)
-        still = bytes(24)
-        self._publish(topics.COMMAND, messages.Setpoint, stamp_ns, pose[:3].tobytes(), still, still, float(pose[3]))
+    def _publish_command(self, stamp_ns: int, wanted: Sample) -> None:
+        blocks = [part.tobytes() for part in (wanted.position, wanted.velocity, wanted.acceleration)]
+        self._publish(topics.COMMAND, messages.Setpoint, stamp_ns, *blocks, 0.0)
 
     def _publish_status(self, stamp_ns: int, tick_us: int, station_us: tuple[int, ...], final: bool = False) -> None:
         inbox, neighbours = self._inbox, self._neighbours

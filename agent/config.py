@@ -4,6 +4,8 @@ from typing import Any
 
 import msgspec
 
+from agent.interface.fleet import Fleet
+from agent.interface.mission import Mission, check
 from agent.interface.sensors import Detector, Odometry
 from agent.interface.tables import parse_table
 
@@ -44,6 +46,7 @@ class AgentConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     odometry: Odometry = Odometry()  # what it believes of every MAV's VIO drift
     filter: Filter = Filter()
     registration: Registration = Registration()
+    mission: Mission | None = None  # what is flown, where the MAVs do as their agents command (world.commanded)
     localised_sigma_m: float = 0.15  # a MAV is called localised below this relative position uncertainty (any axis) ...
     localised_sigma_rad: float = 0.05  # ... and this relative yaw uncertainty
     lag_s: float = 1.0  # what comes later than this after its time is dropped; what comes sooner is applied at its time
@@ -75,10 +78,13 @@ class AgentConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return round(self.lag_s * rate_hz)
 
 
-def parse(table: dict[str, Any]) -> AgentConfig:
+def parse(table: dict[str, Any], fleet: Fleet) -> AgentConfig:
     """The [agent] table of an experiment.
 
     Raises:
-        BadExperiment: unknown key, wrong type or impossible value.
+        BadExperiment: unknown key, wrong type or impossible value; a mission that cannot be flown.
     """
-    return parse_table(AgentConfig, table, "agent")
+    config = parse_table(AgentConfig, table, "agent")
+    if config.mission is not None:
+        check(config.mission, fleet)
+    return config

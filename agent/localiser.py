@@ -46,6 +46,10 @@ class Localiser:
         """Wall time of the last tick's station updates, their mean."""
         return self._history.station_us
 
+    def frames(self) -> Array:
+        """(N, 4) x y z m, yaw rad of every odometry frame, in the station's; NaN where not known."""
+        return self._history.frames()
+
     def start(self, frames: Array, position_sigma_m: float, yaw_sigma_rad: float) -> None:
         """Begins from a rough knowledge of all odometry frames (N, 4) instead of from none."""
         self._history.start(frames, position_sigma_m, yaw_sigma_rad)

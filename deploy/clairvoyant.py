@@ -33,7 +33,7 @@ def replay(recording: Recording, agent: dict[str, Any], told: bool = True) -> Be
     Raises:
         BadExperiment: the table is wrong.
     """
-    config = parse(agent)
+    config = parse(agent, recording.fleet)
     beliefs = Beliefs.none(recording.ticks, recording.fleet.mavs)
     for station in recording.fleet.ids:
         twin: _Twin | None = None

@@ -37,7 +37,7 @@ def check(experiment: Experiment, in_process: bool) -> Checked:
 
     if in_process and experiment.fleet.realtime:
         raise BadExperiment("fleet.realtime = true: in one process there is no real time, expected false")
-    return Checked(parse_world(experiment.world, experiment.fleet), parse_agent(experiment.agent))
+    return Checked(parse_world(experiment.world, experiment.fleet), parse_agent(experiment.agent, experiment.fleet))
 
 
 def fly(experiment: Experiment, epoch: int, record: Callable[[list[Packet]], None]) -> None:

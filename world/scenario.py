@@ -7,20 +7,14 @@ import msgspec
 import numpy as np
 
 from agent.interface.fleet import Fleet
+from agent.interface.formations import SIZES, regular
 from agent.interface.frames import Array, rotate_z
 from agent.interface.seeds import generator
 from agent.interface.tables import BadExperiment
 from world.clearance import CLEARANCE_M, LOWEST_M, can_be, check_move, check_places, drawn_until
-from world.formations import box, regular
+from world.random_places import box
 
-FORMATIONS = {
-    "circle": "radius_m",
-    "line": "length_m",
-    "v": "length_m",
-    "grid": "spacing_m",
-    "points": "points",
-    "box": "size_m",
-}
+FORMATIONS = SIZES | {"box": "size_m"}
 
 
 class Leg(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -2,15 +2,18 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from agent.controller.trajectory import Sample
 from agent.interface.frames import Array
 
 
 @dataclass
 class Hold:
-    pose: Array | None = None  # (4,) x y z m, yaw rad in the odometry frame
+    position: Array | None = None  # (3,) m in the odometry frame
 
-    def setpoint(self, odometry: Array) -> Array:
-        """The pose (4,) to hold, given the present one."""
-        if self.pose is None:
-            self.pose = odometry
-        return self.pose
+    def fly(self, odometry: Array) -> Sample:
+        """To stay at the first place that this was asked at, given the present pose (4,)."""
+        if self.position is None:
+            self.position = odometry[:3]
+        return Sample(self.position, np.zeros(3), np.zeros(3), np.zeros(3))

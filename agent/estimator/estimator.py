@@ -208,6 +208,13 @@ class Estimator:
         frame; after `predict`."""
         return self._poses
 
+    def frames(self) -> Array:
+        """(N, 4) x y z m, yaw rad of every odometry frame, in the station's; NaN where not known. After `finish`."""
+        found = np.full((self._fleet.mavs, 4), np.nan)
+        if self._state is not None:
+            found[self._rows[:-1]] = self._state.by_body[:-1, 4:]
+        return found
+
     def finish(self) -> Beliefs:
         """Lifts the tick's pose updates to the state; what is believed now."""
         self.lift()

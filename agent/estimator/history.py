@@ -205,6 +205,10 @@ class History:
         found = self._estimator.beliefs()
         return found._replace(innovations=innovations, innovations_inside=inside, lost_mass=lost)
 
+    def frames(self) -> Array:
+        """(N, 4) of every odometry frame, in that of the station; NaN where not known."""
+        return self._estimator.frames()
+
     @property
     def members(self) -> list[int]:
         """Who is in the filter: MAV numbers, ascending."""

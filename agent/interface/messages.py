@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 
 from agent.interface.frames import Array
+from agent.interface.intent import Intent
 
 VERSION = 1
 MAX_BYTES = 65_536  # no message of 50 MAVs is as long
@@ -85,6 +86,7 @@ class Odometry(Header, frozen=True):
     """What peers need of a MAV's odometry: the gravity-aligned pose in its odometry frame."""
 
     pose: bytes  # (4,): x y z m, yaw rad
+    intent: Intent | None = None  # of one that flies a mission: as it was decided in the tick before
 
     def __post_init__(self) -> None:
         _expect_floats("pose", self.pose, 4, limit=1e6)

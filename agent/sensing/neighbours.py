@@ -6,6 +6,7 @@ A tick that is over is remembered for as long as late data of it is of use, so t
 from dataclasses import dataclass, field
 
 from agent.interface.frames import Array
+from agent.interface.intent import Intent
 
 AHEAD = 64  # ticks that may wait; a sender further ahead is not believed
 OFF_BEAT = 0.25  # of a tick that a stamp may be off the common beat
@@ -15,6 +16,7 @@ OFF_BEAT = 0.25  # of a tick that a stamp may be off the common beat
 class Tick:
     odometry: dict[int, Array] = field(default_factory=dict)  # by MAV: (4,) x y z m, yaw rad
     detections: dict[int, Array] = field(default_factory=dict)  # by MAV: (M, 3) spherical, levelled
+    intents: dict[int, Intent] = field(default_factory=dict)  # by MAV
 
 
 class Neighbours:
@@ -26,6 +28,7 @@ class Neighbours:
         self._ticks: dict[int, Tick] = {}  # by number
         self._now: int | None = None  # the last tick that was taken
         self._newest: dict[int, tuple[int, int]] = {}  # by MAV: tick and sequence number of its newest odometry
+        self._intents: dict[int, tuple[int, Intent]] = {}  # by MAV: tick and the newest of ticks that are over
         self.late = 0  # beyond the lag
         self.duplicate = 0
         self.unbelieved = 0  # off the beat, or too far ahead
@@ -54,9 +57,16 @@ class Neighbours:
         return seq <= before
 
     def put(
-        self, stamp_ns: int, mav: int, *, odometry: Array | None = None, detections: Array | None = None
+        self,
+        stamp_ns: int,
+        mav: int,
+        *,
+        odometry: Array | None = None,
+        detections: Array | None = None,
+        intent: Intent | None = None,
     ) -> int | None:
-        """Keeps one reading or set; returns its tick if that is over and the data is new and of use, else None."""
+        """Keeps one reading (and what its MAV is about to do) or set; returns its tick if that is over and the data is
+        new and of use, else None."""
         number = self.tick_of(stamp_ns)
         if not self._believed(stamp_ns):
             self.unbelieved += 1
@@ -70,6 +80,10 @@ class Neighbours:
             if len(self._ticks) > AHEAD + self._lag + 1:
                 del self._ticks[max(self._ticks)]
         tick, new = self._ticks.get(number, Tick()), False  # it may be the one that was too many
+        if intent is not None:
+            tick.intents.setdefault(mav, intent)
+            if over:
+                self._heard_of(number, tick)
         for kept, data in ((tick.odometry, odometry), (tick.detections, detections)):
             if data is None:
                 continue
@@ -87,5 +101,16 @@ class Neighbours:
     def take(self, tick: int) -> Tick:
         """What there is for this tick; it and all before it are over."""
         self._now = tick
+        for number in sorted(each for each in self._ticks if each <= tick):
+            self._heard_of(number, self._ticks[number])
         self._ticks = {number: kept for number, kept in self._ticks.items() if number > tick - self._lag}
         return self._ticks.setdefault(tick, Tick())
+
+    def intents(self) -> dict[int, Intent]:
+        """By MAV: what each was last about to do, as far as ticks are over."""
+        return {mav: intent for mav, (_, intent) in self._intents.items()}
+
+    def _heard_of(self, number: int, tick: Tick) -> None:
+        for mav, intent in tick.intents.items():
+            if number >= self._intents.get(mav, (-1, intent))[0]:
+                self._intents[mav] = (number, intent)

@@ -28,7 +28,7 @@ from agent.interface.tables import BadExperiment, parse_table
 )
 def test_agent_table(table, says):
     with pytest.raises(BadExperiment) as caught:
-        config.parse(table)
+        config.parse(table, Fleet())
     assert says in str(caught.value)
 
 
@@ -49,6 +49,6 @@ def test_fleet_table(table, says):
 
 
 def test_defaults_are_the_papers():
-    agent = config.parse({})
+    agent = config.parse({}, Fleet())
     assert (agent.detector.bearing_sigma_rad, agent.detector.range_sigma_slope) == (0.008, 0.0495)
     assert (agent.odometry.position_sigma_m, agent.odometry.yaw_sigma_rad) == (0.01, 0.002)

@@ -1,13 +1,14 @@
-"""Where is everybody in a formation, seen from its centre and with its heading along x?"""
+"""Where is everybody in a formation, seen from its centre and with its heading along x? For paths and for missions."""
 
 import math
+from typing import Literal
 
 import numpy as np
 
 from agent.interface.frames import Array
-from world.clearance import are_apart, drawn_until
 
-BOX_CLEARANCE_M = 1.0  # least distance of two MAVs in a box
+Formation = Literal["circle", "line", "v", "grid", "points"]
+SIZES = {"circle": "radius_m", "line": "length_m", "v": "length_m", "grid": "spacing_m", "points": "points"}
 
 
 def regular(formation: str, size_m: float, mavs: int) -> Array:
@@ -16,21 +17,6 @@ def regular(formation: str, size_m: float, mavs: int) -> Array:
     places[:, :2] = _shape(formation, size_m, mavs)
     # Rounded, because sines of equal places differ in the last bit.
     return places[np.lexsort((-places[:, 0].round(6), -places[:, 1].round(6)))]
-
-
-def box(size_m: tuple[float, float, float], mavs: int, random: np.random.Generator, where: str) -> Array:
-    """(N, 3) m: x ahead, y left, z up, uniform in the box as far as BOX_CLEARANCE_M allows; in no order.
-
-    Raises:
-        BadExperiment: the box is too full for that.
-    """
-    half = np.array(size_m) / 2
-    return drawn_until(
-        lambda places: are_apart(places, BOX_CLEARANCE_M),
-        lambda: random.uniform(-half, half, (mavs, 3)),
-        f"{where}.size_m = {list(size_m)}: {mavs} MAVs are never all {BOX_CLEARANCE_M:g} m apart in it, expected a "
-        f"larger box",
-    )
 
 
 def _shape(formation: str, size_m: float, mavs: int) -> Array:
