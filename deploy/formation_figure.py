@@ -1,0 +1,54 @@
+"""What did the team fly? Its paths from above and from the side, and how near it came to its formations."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib import colormaps, rc_context
+from matplotlib.figure import Figure
+
+from agent.interface.frames import Array
+from agent.interface.intent import HOLDING
+from deploy.formation import Intents, Shape
+from deploy.report import SMALL
+
+
+def draw_formation(
+    time_s: Array, positions: Array, found: list[Shape | None], intents: Intents, experiment: str, path: Path
+) -> None:
+    """Of times (K,), true positions (K, N, 3) m and the shapes (K) of `formation.shapes`."""
+    with rc_context(SMALL):
+        figure = Figure(figsize=(10.5, 4.2), layout="constrained")
+        above, aside, course = figure.subplots(1, 3, width_ratios=(1.1, 0.9, 1.1))
+        for i in range(positions.shape[1]):
+            color = colormaps["viridis"](i / max(positions.shape[1] - 1, 1) * 0.9)
+            for axis, across in ((above, (0, 1)), (aside, (0, 2))):
+                flown = positions[:, i, across]
+                axis.plot(*flown.T, color=color, linewidth=1.0, label=f"MAV {i + 1}" if axis is above else None)
+                axis.plot(*flown[0], marker="o", markersize=4, color=color)
+        for k in _held(intents, found):
+            shape = found[k]
+            assert shape is not None
+            for axis, across in ((above, (0, 1)), (aside, (0, 2))):
+                axis.plot(*shape.goals[:, across].T, "x", color="0.2", markersize=6, zorder=3)
+        for axis, name in ((above, "y [m]"), (aside, "z [m]")):
+            axis.set_xlabel("x [m]")
+            axis.set_ylabel(name)
+            axis.set_aspect("equal", adjustable="datalim")
+        above.set_title("from above: ● start, × desired")
+        aside.set_title("from the side")
+        above.legend(fontsize=6, ncols=2)
+        rms = np.array([np.nan if shape is None else shape.rms_m for shape in found])
+        course.semilogy(time_s, rms, color="#0072B2")
+        course.set_xlabel("simulated time [s]")
+        course.set_title("RMS distance to the desired relative positions [m]")
+        figure.suptitle(experiment)
+        figure.savefig(path, dpi=120)
+
+
+def _held(intents: Intents, found: list[Shape | None]) -> list[int]:
+    """The last tick of each formation that all held."""
+    last: dict[int, int] = {}
+    for k, (phase, formation) in enumerate(zip(intents.phase, intents.formation, strict=True)):
+        if found[k] is not None and (phase[phase >= 0] == HOLDING).all():
+            last[int(formation.max())] = k
+    return list(last.values())
