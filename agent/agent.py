@@ -6,6 +6,7 @@ long that takes, unless the bus says that nothing more will come, in real time a
 """
 
 import logging
+import math
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("agent")
 
+BEHIND = 3  # real time: ticks that may wait; one that was stopped, or is too slow, goes on from the newest
 SENSOR_POLL_S = 0.002  # real time: between looks for its own sensors
 
 _UPPER = np.ravel_multi_index(np.triu_indices(4), (4, 4))  # of a flattened covariance
@@ -63,7 +65,7 @@ class Agent:
         self._liveness = Liveness(mav, fleet.mavs, stale_after_s, gone_after_s)
         self._presence: Presence | None = None
         self._stations = [mav, *(other for other in fleet.ids if other != mav)]  # itself first
-        self._own = OwnSensors()
+        self._own, self._behind = OwnSensors(), BEHIND if fleet.realtime else math.inf
         self._hold_after_s, self._holding = max(at_least_s, config.hold_after_s), False
         self._sensed_s = clock.now_s()  # when its own sensors last began a tick
         self._newest_ns = 0  # the stamp of that
@@ -163,9 +165,9 @@ class Agent:
         """Begins the oldest tick whose VIO reading and detection set are both here, and shares them."""
         if self._open_ns is not None:
             return False
-        reading = self._own.take()
+        reading = self._own.take(self._behind)
         while reading is not None and not self._neighbours.expects(reading.stamp_ns):
-            reading = self._own.take()  # not what is over, or off the beat
+            reading = self._own.take(self._behind)  # not what is over, or off the beat
         if reading is None:
             return False
         stamp_ns, levelled = reading.stamp_ns, reading.levelled

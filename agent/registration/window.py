@@ -63,6 +63,8 @@ class Window:
         """Makes up for the readings that a frame lacks: between two others, or on as that MAV last went."""
         index = frame.tick - self.frames[0].tick
         before, later = self.frames[:index], self.frames[index + 1 :]
+        for j in np.flatnonzero(frame.read & ~before[-1].read) if before else ():
+            self._bridge(before, frame, int(j))
         for j in np.flatnonzero(~frame.read):
             nearest = next((other for other in later if other.read[j]), None)
             if before and before[-1].read[j] and nearest is not None:
@@ -76,6 +78,19 @@ class Window:
                 frame.odometry[j] = last + (last - before[-2].odometry[j] if len(before) > 1 else 0.0)
             else:
                 frame.odometry[j] = 0.0  # never heard: of no meaning, as it is neither station nor placed
+
+    def _bridge(self, before: list[Frame], frame: Frame, j: int) -> None:
+        """Makes the silence that a reading ends a chord: where it went on as it last did, hypotheses that have followed
+        what is seen of that MAV would be moved a second time by the reading that makes up for it."""
+        silence = next((k for k, other in enumerate(reversed(before)) if other.read[j]), None)
+        if silence is None:
+            return
+        last = before[-1 - silence].odometry[j]
+        chord = frame.odometry[j] - last
+        chord[3] = wrap(chord[3])
+        for k, other in enumerate(before[len(before) - silence :], start=1):
+            other.odometry[j] = last + chord * (k / (silence + 1))
+            other.read[j] = True
 
     def at(self, tick: int) -> Frame | None:
         """The frame of this tick, while it is kept."""

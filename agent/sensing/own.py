@@ -1,5 +1,6 @@
 """What do the own sensors say, tick by tick? VIO readings and detection sets, until both of a time are here."""
 
+import math
 from typing import NamedTuple, TypeVar
 
 from agent.interface.messages import Sightings
@@ -33,11 +34,12 @@ class OwnSensors:
         if len(kept) > WAITING:
             del kept[min(kept)]
 
-    def take(self) -> Reading | None:
-        """The oldest pair; what is older than it is over."""
-        stamp_ns = min(self._vio.keys() & self._sightings.keys(), default=None)
-        if stamp_ns is None:
+    def take(self, behind: float = math.inf) -> Reading | None:
+        """The oldest pair, or the newest if more than `behind` newer ones wait; what is older than it is over."""
+        pairs = self._vio.keys() & self._sightings.keys()
+        if not pairs:
             return None
+        stamp_ns = min(pairs) if len(pairs) <= behind + 1 else max(pairs)
         reading = Reading(stamp_ns, self._vio[stamp_ns], self._sightings[stamp_ns])
         self._vio = {stamp: kept for stamp, kept in self._vio.items() if stamp > stamp_ns}
         self._sightings = {stamp: kept for stamp, kept in self._sightings.items() if stamp > stamp_ns}

@@ -316,6 +316,20 @@ def test_in_lockstep_it_waits_for_its_peers_and_in_real_time_it_does_not():
     assert [mav for mav, _ in rig.published(m.Estimate)] == [1]
 
 
+@pytest.mark.parametrize(("waiting", "estimated"), [(4, [1, 2, 3, 4]), (15, [15])])
+def test_one_that_was_stopped_goes_on_from_the_newest_readings(waiting, estimated):
+    """In real time; a tick or two late it does them all."""
+    rig = Rig(realtime=True, config=IMPATIENT)
+    rig.sensors(of=[1])
+    rig.settle()
+    rig.out.drain()
+    for rig.k in range(1, waiting + 1):
+        rig.sensors(of=[1])
+    for _ in range(waiting):
+        rig.settle()
+    assert [e.stamp_ns // 10**8 for _, e in rig.published(m.Estimate)] == estimated
+
+
 def test_in_lockstep_a_tick_closes_without_its_peers_once_nothing_more_will_come():
     rig = Rig()
     rig.survey()

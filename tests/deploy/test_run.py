@@ -149,13 +149,13 @@ def timeless(summary: dict[str, Any]) -> dict[str, Any]:
 
 
 def test_a_study_gives_the_same_numbers_with_one_and_with_two_processes(tmp_path: Path) -> None:
-    grid = "agent.filter.gating=true,false"
+    grid = "agent.detector.P_D=0.8,0.85"
     one = study.run_all(study.jobs(EXPERIMENT, list(SMALL), range(5, 7), [grid]), 1, lambda _: None).summaries
     words = ["study", EXPERIMENT, *(word for change in SMALL for word in ("--set", change)), "--seeds", "5:7"]
     assert main([*words, "--grid", grid, "--jobs", "2", "--out", str(tmp_path)]) == 0
     two = json.loads((tmp_path / "study.json").read_text())
     assert [timeless(run) for run in one] == [timeless(run) for run in two["runs"]]
-    assert [cell["grid"] for cell in two["cells"]] == [{"agent.filter.gating": on} for on in (True, False)]
+    assert [cell["grid"] for cell in two["cells"]] == [{"agent.detector.P_D": P_D} for P_D in (0.8, 0.85)]
     cell = two["cells"][0]
     assert cell["seeds"] == 2
     assert cell["relative_rmse_m"]["low"] < cell["relative_rmse_m"]["mean"] < cell["relative_rmse_m"]["high"]

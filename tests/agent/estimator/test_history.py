@@ -50,7 +50,7 @@ def test_nothing_late_is_the_plain_filter_to_the_last_bit():
         assert (found.innovations, found.innovations_inside) == (plain.innovations, plain.innovations_inside)
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_in_whatever_order_data_comes_within_the_lag_the_belief_is_the_same(seed):
     """Every packet at any tick from its own to the last that it is of use in, some of them twice, some at once."""
@@ -109,7 +109,7 @@ def test_without_a_lag_nothing_late_is_of_use():
     same(last(ticks, delayed, config=AgentConfig(lag_s=0.0)), last(ticks, own, config=AgentConfig(lag_s=0.0)))
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_covariances_stay_symmetric_and_positive_whatever_is_lost_and_late(seed):
     rng, ticks = np.random.default_rng(seed), flown(seed % 5, ticks=50)

@@ -10,10 +10,14 @@ from agent.interface.frames import wrap
 from agent.interface.sensors import Odometry
 from agent.registration.bank import Filter, begin
 from agent.registration.proposals import propose
+from agent.registration.window import Window
+from tests import team
 from tests.agent.registration.beginning import (
     CONSISTENT,
     SEEDS,
     alone,
+    bank_at,
+    box,
     finished,
     heard,
     placement,
@@ -54,3 +58,26 @@ def test_it_is_consistent_where_a_generator_began_it():
 def test_who_believes_half_the_drift_is_outside_the_band():
     half = Odometry(position_sigma_m=0.005, yaw_sigma_rad=0.001)
     assert np.mean([nees(seed, half) for seed in range(SEEDS)]) > CONSISTENT[1]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_who_has_flown_on_unheard_is_not_moved_twice_when_heard_again(seed):
+    """Once by what is seen of it, and once by the reading that makes up for the silence."""
+    mavs, silent, ticks = 5, 3, 40
+    rng = np.random.default_rng([20, seed])
+    places, way = box(rng, mavs), np.zeros((mavs, 3))
+    way[silent] = rng.uniform(0.3, 0.5, 3)  # m/s
+    flown = list(team.fly(rng, mavs, ticks, lambda t: places + way * max(t - 0.5, 0)))
+    window, sight, bank = Window(mavs, ticks), Filter(AgentConfig(), mavs, RATE_HZ), bank_at(true_poses(flown[0])[None])
+    for k, tick in enumerate(flown):
+        odometry, sets = heard(tick)
+        unheard = 3 < k < 30
+        frame = window.add(k, {i: z for i, z in odometry.items() if not (unheard and i == silent)})
+        for i, spherical in sets.items():
+            if not (unheard and i == silent):
+                frame.put(i, spherical)
+        window.settle(frame)
+        if k > 0:
+            sight.step(bank, window.frames[k - 1], frame)
+        if k >= 30:
+            assert np.linalg.norm(bank.y[0, silent, :3] - true_poses(tick)[silent, :3]) < 0.25

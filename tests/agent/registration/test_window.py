@@ -107,3 +107,13 @@ def test_what_was_lost_lies_between_the_readings_before_and_after():
         assert window.at(k).read[1]
         np.testing.assert_allclose(window.at(k).odometry[1, :3], [0.1 + 0.6 * (k - 1), 0, 0])
         assert wrap(window.at(k).odometry[1, 3] - 3.0 - 0.1 * k) == pytest.approx(0, abs=1e-9)
+
+
+def test_a_silence_that_was_gone_through_as_a_guess_is_a_chord_once_it_ends():
+    window = Window(2, 20)
+    x = {0: 0.0, 1: 0.1, 8: 1.5}  # of the MAV that is heard at these ticks
+    for k in range(9):
+        window.add(k, {0: np.zeros(4)} | ({1: np.array([x[k], 0, 0, 0])} if k in x else {}))
+        window.settle(window.at(k))
+    np.testing.assert_allclose([f.odometry[1, 0] for f in window.frames[1:]], 0.1 + 0.2 * np.arange(8))
+    assert all(f.read[1] for f in window.frames)
