@@ -68,6 +68,7 @@ class RecordedFlights:
         self._true = _together([true for true, _ in played])
         self._vio = _together([vio for _, vio in played])
         self._tick = 0
+        self.contacts: set[tuple[int, int]] = set()  # nobody recorded any
         self.pose_world_odom = compose(self.true.level, inverse(self.vio.level))  # (N, 4), as true as at tick 0
 
     @property

@@ -29,6 +29,7 @@ class SimulatedFlight:
         self._physics = Physics(np.column_stack([self._scenario.start, self._yaw]), self._step_s)
         self._autopilot = Autopilot(self._physics.airframe, fleet.mavs)
         self._steps_per_aim = math.floor(AIM_PERIOD_S / self._step_s + 1e-9)
+        self.contacts: set[tuple[int, int]] = set()
         self.true = self._poses()
         self._vio = Vio(config.odometry, fleet, self.true)
         self.pose_world_odom = self._vio.pose_world_odom
@@ -42,11 +43,13 @@ class SimulatedFlight:
         self._vio.begin(mav - 1)
 
     def step(self) -> None:
+        self.contacts = set()
         for _ in range(self._steps_per_tick):
             if self._steps % self._steps_per_aim == 0:
                 wanted = self._scenario.setpoints(self._steps * self._step_s, self._yaw)
                 self._autopilot.aim(self._physics.state, wanted)
             self._physics.step(self._autopilot.commands(self._physics.state))
+            self.contacts |= self._physics.touching()
             self._steps += 1
         self.true = self._poses()
         self._vio.advance(self.true)

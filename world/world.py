@@ -29,6 +29,7 @@ class Motion(Protocol):
     """Where the MAVs are: simulated or recorded, never asked which."""
 
     pose_world_odom: Array  # (N, 4) x y z m, yaw rad: where each MAV's odometry frame is at tick 0
+    contacts: set[tuple[int, int]]  # pairs of MAV numbers, ascending, that have touched since the tick before
 
     @property
     def true(self) -> Poses:
@@ -60,7 +61,10 @@ class World:
         self._inbox = bus.subscribe(topics.all_keys(topics.COMMAND))
         self._commander = {topics.key(topics.COMMAND, mav): mav for mav in fleet.ids}
         self._keys = [
-            tuple(topics.key(topic, mav) for topic in (topics.TRUTH, topics.LABELS, topics.VIO, topics.SIGHTINGS))
+            tuple(
+                topics.key(topic, mav)
+                for topic in (topics.TRUTH, topics.LABELS, topics.VIO, topics.SIGHTINGS, topics.CONTACT)
+            )
             for mav in fleet.ids
         ]
         self._tick = 0
@@ -118,13 +122,16 @@ class World:
         self._unanswered, self._answered_stamp_ns = set(self._roll), stamp_ns
         true, vio = self._motion.true, self._motion.vio
         for i, mav in enumerate(self._fleet.ids):
-            truth_key, labels_key, vio_key, sightings_key = self._keys[i]
+            truth_key, labels_key, vio_key, sightings_key, contact_key = self._keys[i]
             detections = self._sets[i]
             p, q = true.position[i].tobytes(), true.quaternion[i].tobytes()
             self._publish(truth_key, messages.encode_fields(messages.Truth, *header, mav, p, q))
             self._publish(
                 labels_key, messages.encode_fields(messages.Labels, *header, mav, detections.labels.tobytes())
             )
+            others = sorted(a + b - mav for a, b in self._motion.contacts if mav in (a, b))
+            if others:
+                self._publish(contact_key, messages.encode_fields(messages.Contact, *header, mav, bytes(others)))
             if mav in self._absent:
                 continue
             p, q = vio.position[i].tobytes(), vio.quaternion[i].tobytes()

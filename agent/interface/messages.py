@@ -236,6 +236,17 @@ class Labels(Header, frozen=True):
     targets: bytes  # uint8 (M,)
 
 
+class Contact(Header, frozen=True):
+    """Which MAVs one MAV has touched since the tick before; said only if there are any (for deploy only)."""
+
+    mav: int
+    others: bytes  # uint8 (M,): MAV numbers, ascending
+
+    def __post_init__(self) -> None:
+        if not self.others or sorted(set(self.others)) != list(self.others) or self.mav in self.others:
+            raise ValueError(f"others: {list(self.others)}, expected ascending numbers of MAVs other than {self.mav}")
+
+
 M = TypeVar("M", bound=Header)
 
 
