@@ -62,6 +62,10 @@ class Physics:
             return set()
         return {(min(a, b), max(a, b)) for a, b in self._data.contact.geom.tolist() if a != GROUND != b}
 
+    def blow(self, wind: Array) -> None:
+        """From the next step on the air moves with this velocity (3,) m/s, world."""
+        self.model.opt.wind[:] = wind
+
 
 def _scene(mavs: int, step_s: float) -> mujoco.MjModel:
     scene = mujoco.MjSpec()

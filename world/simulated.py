@@ -12,6 +12,7 @@ from world.physics import Physics
 from world.poses import Poses
 from world.scenario import Scenario
 from world.vio import Vio
+from world.wind import Gusts, Wind
 
 MAX_STEP_S = 0.005  # of physics and autopilot
 
@@ -29,6 +30,7 @@ class SimulatedFlight:
         self._physics = Physics(np.column_stack([self._scenario.start, self._yaw]), self._step_s)
         self._autopilot = Autopilot(self._physics.airframe, fleet.mavs)
         self._steps_per_aim = math.floor(AIM_PERIOD_S / self._step_s + 1e-9)
+        self._gusts = None if config.wind == Wind() else Gusts(config.wind, fleet.seed, self._step_s)
         self.contacts: set[tuple[int, int]] = set()
         self.true = self._poses()
         self._vio = Vio(config.odometry, fleet, self.true)
@@ -48,6 +50,8 @@ class SimulatedFlight:
             if self._steps % self._steps_per_aim == 0:
                 wanted = self._scenario.setpoints(self._steps * self._step_s, self._yaw)
                 self._autopilot.aim(self._physics.state, wanted)
+            if self._gusts is not None:
+                self._physics.blow(self._gusts.step())
             self._physics.step(self._autopilot.commands(self._physics.state))
             self.contacts |= self._physics.touching()
             self._steps += 1
