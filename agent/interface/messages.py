@@ -142,7 +142,8 @@ class Registration(Header, frozen=True):
 
 
 class Setpoint(Header, frozen=True):
-    """What the autopilot is asked to do, in the MAV's odometry frame, at the stamp."""
+    """What the autopilot is asked to do, in the MAV's odometry frame, at the stamp. Until a newer one comes it
+    goes on by its velocity and acceleration, for half a second; then it stays, at rest."""
 
     position: bytes  # (3,) m
     velocity: bytes  # (3,) m/s
