@@ -115,6 +115,13 @@ def score(error: Errors, scored: Mask, time_s: Array) -> Score:
     )
 
 
+def nearest_m(positions: Array) -> float:
+    """Least distance of any two MAVs at any tick, from (K, N, 3) places; NaN if there are no two."""
+    i, j = np.triu_indices(positions.shape[1], 1)
+    apart = np.linalg.norm(positions[:, i] - positions[:, j], axis=-1)
+    return float(np.fmin.reduce(apart, axis=None, initial=np.nan))
+
+
 def rms(values: Array) -> float:
     """Root mean square of the finite values; NaN if there are none."""
     finite = values[np.isfinite(values)]

@@ -87,6 +87,7 @@ class Recording:
     arrivals: dict[tuple[int, int], list[Arrival]]  # (tick, MAV number) -> in order; empty if no fault was injected
     dropped: npt.NDArray[np.int64]  # (N, N) how many packets to i from j the faults lost
     process_faults: list[ProcessFault]
+    touched: set[tuple[int, int]]  # pairs of MAV numbers, ascending, that were in contact at any time
     rejected: dict[str, int] = field(default_factory=dict)  # packets that are not messages of the run, by reason
 
     @property
@@ -139,6 +140,7 @@ class _Builder:
         self.arrivals: dict[tuple[int, int], list[Arrival]] = {}
         self.dropped = np.zeros((N, N), np.int64)
         self.process_faults: list[ProcessFault] = []
+        self.touched: set[tuple[int, int]] = set()
         self.rejected: dict[str, int] = {}
 
     def add(self, packet: Packet) -> None:
@@ -192,6 +194,9 @@ class _Builder:
                 self._add_arrivals(message, k, mav)
             case messages.ProcessFault():
                 self.process_faults.append(ProcessFault(k, mav, message.do))
+            case messages.Contact():
+                self._expect(all(each in self.fleet.ids for each in message.others), f"contact with {message.others!r}")
+                self.touched.update((min(mav, other), max(mav, other)) for other in message.others)
 
     def _add_arrivals(self, message: messages.Arrivals, k: int, mav: int) -> None:
         self._expect(len(message.dropped) == self.fleet.mavs, f"arrivals from {len(message.dropped)} MAVs")
@@ -256,5 +261,6 @@ class _Builder:
             arrivals=self.arrivals,
             dropped=self.dropped,
             process_faults=sorted(self.process_faults),
+            touched=self.touched,
             rejected=self.rejected,
         )

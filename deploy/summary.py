@@ -129,6 +129,7 @@ def summarise(analysis: Analysis, circumstances: Circumstances) -> dict[str, Any
         "disagreement_m": metrics.disagreement_m(recording.beliefs.estimates, recording.beliefs.states),
         "registration": _registration(analysis),
         "across_cuts": {name: score._asdict() for name, score in analysis.across.items()} or None,
+        "flight": {"nearest_m": metrics.nearest_m(recording.truth[..., :3]), "collisions": len(recording.touched)},
         "estimator_ms": _estimator_ms(recording),
         "network": _network(recording, sim_s),
         "mavs": _mavs(analysis),

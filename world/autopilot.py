@@ -31,7 +31,10 @@ class Autopilot:
     held that is linear in the attitude. So the outer loop leaves one matrix per MAV, which the inner one applies.
     """
 
-    def __init__(self, airframe: Airframe, mavs: int) -> None:
+    def __init__(self, airframe: Airframe, mavs: int, max_yaw_error_rad: float = MAX_YAW_ERROR_RAD) -> None:
+        """max_yaw_error_rad: acted upon at once. Small where turns are asked for: much of it leaves roll and pitch no
+        thrust."""
+        self._max_yaw_error_rad = max_yaw_error_rad
         self._airframe = airframe
         thrust_per_wrench = np.linalg.inv(airframe.wrench_per_thrust)
         self._thrust_per_push = thrust_per_wrench[:, 0] * airframe.mass_kg  # (4,) N per m/s^2
@@ -57,7 +60,7 @@ class Autopilot:
         attitude = state.quaternion_wxyz.take(_XYZW, axis=1)
         rotation = rotations(attitude)
         push_body = (push[:, None] @ rotation)[:, 0]  # R^T push
-        wanted_attitude = multiply(attitude, _turn(push_body, rotation, wanted.yaw))
+        wanted_attitude = multiply(attitude, _turn(push_body, rotation, wanted.yaw, self._max_yaw_error_rad))
         self._gains[:, :, :4] = (wanted_attitude @ self._gains_per_attitude).reshape(-1, ROTORS, 4)
         self._gains[:, :, 7] = push_body[:, 2:] * self._thrust_per_push
 
@@ -69,15 +72,15 @@ class Autopilot:
         return np.minimum(self._thrusts, self._airframe.max_thrust_n, out=self._thrusts)
 
 
-def _turn(push_body: Array, rotation: Array, yaw: Array) -> Array:
+def _turn(push_body: Array, rotation: Array, yaw: Array, most: float) -> Array:
     """Quaternions (N, 4) x y z w of the turn, in the body's frame, that brings its z axis onto the wanted push by the
-    shortest way, then its x axis to the wanted yaw, or nearer to it."""
+    shortest way, then its x axis to the wanted yaw, or as far towards it as is allowed, rad."""
     x, y, z = push_body.T
     strength = np.sqrt(np.vecdot(push_body, push_body))
     cosine = np.sqrt(np.maximum(0.5 + 0.5 * z / strength, 5e-4))  # of half the tilt
     twice = 2 * strength * cosine
     yaw_error = wrap(yaw - np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0]))
-    half = 0.5 * np.minimum(np.maximum(yaw_error, -MAX_YAW_ERROR_RAD), MAX_YAW_ERROR_RAD)
+    half = 0.5 * np.minimum(np.maximum(yaw_error, -most), most)
     c, s = np.cos(half), np.sin(half)
     turn = np.empty((len(push_body), 4))
     turn[:, 0] = (x * s - y * c) / twice

@@ -11,7 +11,8 @@ from agent.interface.tables import BadExperiment
 
 DIAMETER_M = 0.54  # of a MAV (the paper, Sec. VI-A; mav.xml)
 CLEARANCE_M = 0.6  # least distance of two MAVs' centres
-LOWEST_M = 0.3  # least height above the ground, which is at z = 0
+LOWEST_M = 0.3  # least height of a MAV in flight above the ground, which is at z = 0
+STANDING_M = 0.04  # height of one that stands on the ground: half that of its hull (mav.xml)
 MAX_SPEED_M_S = 5.0
 MAX_ACCELERATION_M_S2 = 5.0  # with a thrust of 2.2 times the weight there is room for control above this
 PEAK_SPEED = 35 / 16  # of a move, in units of distance / move_s
@@ -26,9 +27,9 @@ def are_apart(places: Array, least_m: float = CLEARANCE_M) -> bool:
     return bool(_apart(places[:, None] - places[None]).min() >= least_m)
 
 
-def can_be(places: Array) -> bool:
-    """Whether MAVs may hover at these (N, 3) places: what `check_places` checks."""
-    return bool(places[:, 2].min() >= LOWEST_M) and are_apart(places)
+def can_be(places: Array, lowest_m: float = LOWEST_M) -> bool:
+    """Whether MAVs may be at these (N, 3) places: what `check_places` checks."""
+    return bool(places[:, 2].min() >= lowest_m) and are_apart(places)
 
 
 def drawn_until(fits: Callable[[T], bool], draw: Callable[[], T], otherwise: str) -> T:
@@ -44,15 +45,15 @@ def drawn_until(fits: Callable[[T], bool], draw: Callable[[], T], otherwise: str
     raise BadExperiment(f"{otherwise} (in {MAX_DRAWS} draws)")
 
 
-def check_places(places: Array, where: str) -> None:
+def check_places(places: Array, where: str, lowest_m: float = LOWEST_M) -> None:
     """
     Raises:
         BadExperiment: at these (N, 3) places some MAV is too low or two are too close.
     """
     lowest = int(places[:, 2].argmin())
-    if places[lowest, 2] < LOWEST_M:
+    if places[lowest, 2] < lowest_m:
         raise BadExperiment(
-            f"{where}: MAV {lowest + 1} at z = {places[lowest, 2]:.2f} m, expected at least {LOWEST_M:g} m"
+            f"{where}: MAV {lowest + 1} at z = {places[lowest, 2]:.2f} m, expected at least {lowest_m:g} m"
         )
     _check_apart(places[:, None] - places[None], f"{where}: when there")
 

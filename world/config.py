@@ -9,6 +9,7 @@ from agent.interface.sensors import Detector, Odometry
 from agent.interface.tables import BadExperiment, parse_table
 from world.recorded import Flight, RecordedFlights
 from world.scenario import Leg, Scenario
+from world.wind import Wind
 
 
 class Survey(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -29,6 +30,8 @@ class WorldConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     survey: Survey | Literal["none"] = "none"  # nobody is told anything before the start, unless there is a survey
     start_yaw: Literal["random", "zero"] = "random"  # of simulated flights: uniform in the circle, or along the x axis
     path: tuple[Leg, ...] = ()  # a simulated flight ...
+    commanded: bool = False  # simulated MAVs stand where the path's only leg says, then fly what their agents command
+    wind: Wind = Wind()  # of simulated flights
     flights: tuple[Flight, ...] = ()  # ... or recorded ones, one per MAV
     flights_dir: str | None = None  # where their files are
     random_window: bool = False  # of recorded flights: each begins anywhere from its from_s on, drawn anew by each seed
@@ -50,8 +53,13 @@ def parse(table: dict[str, Any], fleet: Fleet) -> WorldConfig:
         )
     if config.random_window and not config.flights:
         raise BadExperiment("world.random_window = true: expected [[world.flights]], simulated flights have no windows")
+    if config.commanded and len(config.path) != 1:
+        found = f"{len(config.path)} legs of a path" if config.path else "recorded flights"
+        raise BadExperiment(f"world.commanded = true: {found}, expected one leg: where the MAVs start")
+    if config.wind != Wind() and not config.path:
+        raise BadExperiment("world.wind: expected [[world.path]], no wind can blow on recorded flights")
     if config.path:
-        Scenario(config.path, fleet)
+        Scenario(config.path, fleet, config.commanded)
     else:
         RecordedFlights(config.flights, config.flights_dir, fleet, config.random_window)
     return config

@@ -12,6 +12,7 @@ GRAVITY_M_S2 = 9.81
 AIR_DENSITY = 1.2  # kg/m^3: MuJoCo's drag of a body's equivalent inertia box
 AIR_VISCOSITY = 1.8e-5  # Pa s
 ROTORS = 4
+GROUND = 0  # its geom; that of MAV k is k
 TEMPLATE = Path(__file__).with_name("mav.xml")
 
 
@@ -54,6 +55,16 @@ class Physics:
         """One time step with these thrusts (N, 4) asked of the rotors, N; each is held within what a rotor can do."""
         self._commands[:] = commands
         mujoco.mj_step(self.model, self._data)
+
+    def touching(self) -> set[tuple[int, int]]:
+        """Pairs of MAV numbers, ascending, that were in contact when the last step began."""
+        if not self._data.ncon:
+            return set()
+        return {(min(a, b), max(a, b)) for a, b in self._data.contact.geom.tolist() if a != GROUND != b}
+
+    def blow(self, wind: Array) -> None:
+        """From the next step on the air moves with this velocity (3,) m/s, world."""
+        self.model.opt.wind[:] = wind
 
 
 def _scene(mavs: int, step_s: float) -> mujoco.MjModel:

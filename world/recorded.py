@@ -1,11 +1,13 @@
 """Where are the MAVs, and what does their odometry read, when recorded flights are played instead of simulated ones?"""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
+from agent.interface import messages
 from agent.interface.fleet import Fleet
 from agent.interface.frames import Array, compose, inverse, rotate_z, rotation_matrix
 from agent.interface.seeds import generator
@@ -68,6 +70,7 @@ class RecordedFlights:
         self._true = _together([true for true, _ in played])
         self._vio = _together([vio for _, vio in played])
         self._tick = 0
+        self.contacts: set[tuple[int, int]] = set()  # nobody recorded any
         self.pose_world_odom = compose(self.true.level, inverse(self.vio.level))  # (N, 4), as true as at tick 0
 
     @property
@@ -86,6 +89,9 @@ class RecordedFlights:
         position, quaternion = self._vio.position[rest, i], self._vio.quaternion[rest, i]
         self._vio.position[rest, i] = rotate_z(-begin[3], position - begin[:3])
         self._vio.quaternion[rest, i] = turn_z(np.full(len(position), -begin[3]), quaternion)
+
+    def command(self, setpoints: Iterable[messages.Setpoint]) -> None:
+        """They fly as they did, whatever is commanded."""
 
     def step(self) -> None:
         self._tick += 1

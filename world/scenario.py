@@ -11,7 +11,7 @@ from agent.interface.formations import SIZES, regular
 from agent.interface.frames import Array, rotate_z
 from agent.interface.seeds import generator
 from agent.interface.tables import BadExperiment
-from world.clearance import CLEARANCE_M, LOWEST_M, can_be, check_move, check_places, drawn_until
+from world.clearance import CLEARANCE_M, LOWEST_M, STANDING_M, can_be, check_move, check_places, drawn_until
 from world.random_places import box
 
 FORMATIONS = SIZES | {"box": "size_m"}
@@ -49,12 +49,15 @@ class Scenario:
     """The path of every MAV: straight lines at rest at both ends, with the yaw it has at the start. Random places come
     from the fleet's seed, so every Scenario of one run is the same."""
 
-    def __init__(self, path: tuple[Leg, ...], fleet: Fleet) -> None:
+    def __init__(self, path: tuple[Leg, ...], fleet: Fleet, on_ground: bool = False) -> None:
         """
+        Args:
+            on_ground: heights do not count, all MAVs stand.
+
         Raises:
             BadExperiment: a leg lacks its size, is too fast, too low, too full or brings MAVs too close.
         """
-        slots, starts, moves = [_slots(leg, fleet, k) for k, leg in enumerate(path)], [], []
+        slots, starts, moves = [_slots(leg, fleet, k, on_ground) for k, leg in enumerate(path)], [], []
         time_s = 0.0
         for k, leg in enumerate(path):
             _check_times(leg, k)
@@ -69,7 +72,7 @@ class Scenario:
 
     @property
     def start(self) -> Array:
-        """(N, 3) m: where the MAVs hover at time 0."""
+        """(N, 3) m: where the MAVs hover, or stand, at time 0."""
         return self._from[0]
 
     def setpoints(self, time_s: float, yaw: Array) -> Setpoints:
@@ -85,20 +88,22 @@ class Scenario:
         return Setpoints(start + share * way, speed * way, acceleration * way, yaw)
 
 
-def _slots(leg: Leg, fleet: Fleet, index: int) -> Array:
+def _slots(leg: Leg, fleet: Fleet, index: int, on_ground: bool) -> Array:
     """(N, 3) m: everybody's place in the world frame."""
     where = f"world.path[{index}]"
-    places = rotate_z(leg.heading_rad, _formation(leg, fleet, index, where)) + np.array(leg.center)
+    places = rotate_z(leg.heading_rad, _formation(leg, fleet, index, where, on_ground)) + np.array(leg.center)
     if not np.isfinite(places).all() or np.abs(places).max() > 1e4:
         raise BadExperiment(f"{where}: center, points and heading_rad must be finite and within 10 km")
     if not -1000 <= leg.height_step_m <= 1000:
         raise BadExperiment(f"{where}.height_step_m = {leg.height_step_m:g}: expected -1000 to 1000 m")
     places[:, 2] += leg.height_step_m * np.arange(fleet.mavs)
-    check_places(places, where)
-    return _jittered(places, leg.jitter_m, generator(fleet.seed, f"jitter/{index}"), where)
+    if on_ground:
+        places[:, 2] = STANDING_M
+    check_places(places, where, STANDING_M if on_ground else LOWEST_M)
+    return _jittered(places, leg.jitter_m, generator(fleet.seed, f"jitter/{index}"), where, on_ground)
 
 
-def _formation(leg: Leg, fleet: Fleet, index: int, where: str) -> Array:
+def _formation(leg: Leg, fleet: Fleet, index: int, where: str, on_ground: bool) -> Array:
     """(N, 3) m: everybody's place about the centre, headed along x."""
     needed = FORMATIONS[leg.formation]
     for name in dict.fromkeys(FORMATIONS.values()):
@@ -114,25 +119,26 @@ def _formation(leg: Leg, fleet: Fleet, index: int, where: str) -> Array:
         if not all(0 < size_m <= 1000 for size_m in leg.size_m):
             raise BadExperiment(f"{where}.size_m = {list(leg.size_m)}: expected three, each between 0 and 1000 m")
         bottom_m = leg.center[2] - leg.size_m[2] / 2
-        if bottom_m < LOWEST_M:
+        if bottom_m < LOWEST_M and not on_ground:
             raise BadExperiment(f"{where}: the box begins at z = {bottom_m:.2f} m, expected at least {LOWEST_M:g} m")
-        return box(leg.size_m, fleet.mavs, generator(fleet.seed, f"box/{index}"), where)
+        return box(leg.size_m, fleet.mavs, generator(fleet.seed, f"box/{index}"), where, flat=on_ground)
     size_m = float(getattr(leg, needed))
     if not 0 < size_m <= 1000:
         raise BadExperiment(f"{where}.{needed} = {size_m:g}: expected between 0 and 1000 m")
     return regular(leg.formation, size_m, fleet.mavs)
 
 
-def _jittered(places: Array, sigma_m: float, random: np.random.Generator, where: str) -> Array:
+def _jittered(places: Array, sigma_m: float, random: np.random.Generator, where: str, on_ground: bool) -> Array:
     """(N, 3) m: each off its place, but neither too low nor too close to another."""
     if not 0 <= sigma_m <= 1000:
         raise BadExperiment(f"{where}.jitter_m = {sigma_m:g}: expected 0 to 1000 m")
     if sigma_m == 0:
         return places
+    lowest_m, sigmas_m = (STANDING_M, [sigma_m, sigma_m, 0.0]) if on_ground else (LOWEST_M, [sigma_m] * 3)
     return drawn_until(
-        can_be,
-        lambda: places + sigma_m * random.standard_normal(places.shape),
-        f"{where}.jitter_m = {sigma_m:g}: MAVs always come closer than {CLEARANCE_M:g} m or lower than {LOWEST_M:g} m, "
+        lambda drawn: can_be(drawn, lowest_m),
+        lambda: places + sigmas_m * random.standard_normal(places.shape),
+        f"{where}.jitter_m = {sigma_m:g}: MAVs always come closer than {CLEARANCE_M:g} m or lower than {lowest_m:g} m, "
         f"expected a smaller one",
     )
 

@@ -1,7 +1,7 @@
 """How does a run go? Tick by tick: publish what the sensors read and what is true, step, wait for the answers."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Protocol
 
 import numpy as np
@@ -29,6 +29,7 @@ class Motion(Protocol):
     """Where the MAVs are: simulated or recorded, never asked which."""
 
     pose_world_odom: Array  # (N, 4) x y z m, yaw rad: where each MAV's odometry frame is at tick 0
+    contacts: set[tuple[int, int]]  # pairs of MAV numbers, ascending, that have touched since the tick before
 
     @property
     def true(self) -> Poses:
@@ -43,6 +44,9 @@ class Motion(Protocol):
 
     def begin_odometry(self, mav: int) -> None:
         """From this tick on, the odometry frame of this MAV is where it is now."""
+
+    def command(self, setpoints: Iterable[messages.Setpoint]) -> None:
+        """From the next step on, the senders of these fly by them, where MAVs fly what is commanded."""
 
 
 class World:
@@ -60,7 +64,10 @@ class World:
         self._inbox = bus.subscribe(topics.all_keys(topics.COMMAND))
         self._commander = {topics.key(topics.COMMAND, mav): mav for mav in fleet.ids}
         self._keys = [
-            tuple(topics.key(topic, mav) for topic in (topics.TRUTH, topics.LABELS, topics.VIO, topics.SIGHTINGS))
+            tuple(
+                topics.key(topic, mav)
+                for topic in (topics.TRUTH, topics.LABELS, topics.VIO, topics.SIGHTINGS, topics.CONTACT)
+            )
             for mav in fleet.ids
         ]
         self._tick = 0
@@ -71,6 +78,8 @@ class World:
         self._unanswered: set[int] = set()
         self._complained: set[str] = set()
         self._answered_stamp_ns = -1
+        self._commanded: dict[int, messages.Setpoint] = {}  # by MAV, since the last tick
+        self._newest_ns = dict.fromkeys(fleet.ids, -1)  # the stamp of each one's newest setpoint: older ones are no use
         self._tick_us = 0
         self.sent = self.sent_bytes = self.received = self.rejected = self.late_ticks = 0
 
@@ -98,6 +107,8 @@ class World:
             self._started = set(roll.items())
         for mav, _ in sorted(roll.items() - self._started):
             self._motion.begin_odometry(mav)
+            self._commanded.pop(mav, None)
+            self._newest_ns[mav] = self._fleet.stamp_ns(self._tick) - 1
         self._started |= roll.items()
         self._roll = dict(sorted(roll.items()))
         header = (messages.VERSION, self._epoch, SENDER, self._rolls, self._fleet.stamp_ns(self._tick))
@@ -111,20 +122,30 @@ class World:
         self._absent = mavs if self._fleet.realtime else set()
 
     def publish_tick(self) -> None:
-        """What every MAV's sensors read at this tick and, for deploy alone, what is true."""
+        """What every MAV's sensors read at this tick and, for deploy alone, what is true.
+
+        What has been commanded up to now is flown from here on. In lockstep, these are the answers to the tick before:
+        a setpoint stamped k leads from tick k + 1 to k + 2, whether the step from k to k + 1 is before the answers to
+        tick k or after them.
+        """
         began_us = clock.now_us()
         tick, stamp_ns = self._tick, self._fleet.stamp_ns(self._tick)
         header = (messages.VERSION, self._epoch, SENDER, tick, stamp_ns)
+        self._motion.command(self._commanded.values())
+        self._commanded.clear()
         self._unanswered, self._answered_stamp_ns = set(self._roll), stamp_ns
         true, vio = self._motion.true, self._motion.vio
         for i, mav in enumerate(self._fleet.ids):
-            truth_key, labels_key, vio_key, sightings_key = self._keys[i]
+            truth_key, labels_key, vio_key, sightings_key, contact_key = self._keys[i]
             detections = self._sets[i]
             p, q = true.position[i].tobytes(), true.quaternion[i].tobytes()
             self._publish(truth_key, messages.encode_fields(messages.Truth, *header, mav, p, q))
             self._publish(
                 labels_key, messages.encode_fields(messages.Labels, *header, mav, detections.labels.tobytes())
             )
+            others = sorted(a + b - mav for a, b in self._motion.contacts if mav in (a, b))
+            if others:
+                self._publish(contact_key, messages.encode_fields(messages.Contact, *header, mav, bytes(others)))
             if mav in self._absent:
                 continue
             p, q = vio.position[i].tobytes(), vio.quaternion[i].tobytes()
@@ -134,7 +155,7 @@ class World:
         self._tick_us = clock.now_us() - began_us
 
     def step(self) -> None:
-        """On to the next tick. What is flown does not depend on the agents' answers, so this may run before them."""
+        """On to the next tick. What is flown does not depend on the answers to this one: it may run before them."""
         began_us = clock.now_us()
         self._tick += 1
         if not self.finished:
@@ -211,6 +232,9 @@ class World:
             self.received += 1
             if setpoint.stamp_ns == self._answered_stamp_ns:
                 self._unanswered.discard(setpoint.sender)
+            if self._newest_ns[setpoint.sender] < setpoint.stamp_ns <= self._answered_stamp_ns:
+                self._newest_ns[setpoint.sender] = setpoint.stamp_ns
+                self._commanded[setpoint.sender] = setpoint
 
     def _survey(self, mav: int, survey: Survey) -> messages.Survey:
         """What this MAV is told: every odometry frame in its own, with noise; its own needs none."""
@@ -242,6 +266,7 @@ class World:
 def _motion(config: WorldConfig, fleet: Fleet) -> Motion:
     if config.flights:
         return RecordedFlights(config.flights, config.flights_dir, fleet, config.random_window)
-    from world.simulated import SimulatedFlight  # here, because recorded flights need no MuJoCo
+    from world.commanded import CommandedFlight  # here, because recorded flights need no MuJoCo
+    from world.simulated import SimulatedFlight
 
-    return SimulatedFlight(config, fleet)
+    return CommandedFlight(config, fleet) if config.commanded else SimulatedFlight(config, fleet)

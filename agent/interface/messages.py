@@ -144,7 +144,8 @@ class Registration(Header, frozen=True):
 
 
 class Setpoint(Header, frozen=True):
-    """What the autopilot is asked to do, in the MAV's odometry frame, at the stamp."""
+    """What the autopilot is asked to do, in the MAV's odometry frame, at the stamp. Until a newer one comes it
+    goes on by its velocity and acceleration, for half a second; then it stays, at rest."""
 
     position: bytes  # (3,) m
     velocity: bytes  # (3,) m/s
@@ -236,6 +237,17 @@ class Labels(Header, frozen=True):
 
     mav: int  # whose sensor
     targets: bytes  # uint8 (M,)
+
+
+class Contact(Header, frozen=True):
+    """Which MAVs one MAV has touched since the tick before; said only if there are any (for deploy only)."""
+
+    mav: int
+    others: bytes  # uint8 (M,): MAV numbers, ascending
+
+    def __post_init__(self) -> None:
+        if not self.others or sorted(set(self.others)) != list(self.others) or self.mav in self.others:
+            raise ValueError(f"others: {list(self.others)}, expected ascending numbers of MAVs other than {self.mav}")
 
 
 M = TypeVar("M", bound=Header)

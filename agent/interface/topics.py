@@ -35,10 +35,11 @@ ARRIVALS = Topic("arrivals", "fault/{mav}/arrivals", messages.Arrivals, "deploy"
 PROCESS_FAULT = Topic("process fault", "fault/{mav}/process", messages.ProcessFault, "deploy", "deploy", False)
 TRUTH = Topic("truth", "truth/{mav}/pose", messages.Truth, "world", "deploy", False)
 LABELS = Topic("labels", "truth/{mav}/labels", messages.Labels, "world", "deploy", False)
+CONTACT = Topic("contact", "truth/{mav}/contact", messages.Contact, "world", "deploy", False)
 
 TOPICS = (
     VIO, SIGHTINGS, SURVEY, END, ODOMETRY, DETECTIONS, COMMAND, ESTIMATE, REGISTRATION, STATUS,
-    ROLL, ARRIVALS, PROCESS_FAULT, TRUTH, LABELS,
+    ROLL, ARRIVALS, PROCESS_FAULT, TRUTH, LABELS, CONTACT,
 )  # fmt: skip
 
 _BY_SHAPE = {tuple(topic.key.replace("{mav}", "*").split("/")): topic for topic in TOPICS}

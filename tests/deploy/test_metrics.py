@@ -75,6 +75,15 @@ def test_final_is_the_last_two_seconds(flight: Flight) -> None:
     assert score.rmse_m == pytest.approx(0.5 * np.sqrt(20 / K))
 
 
+def test_the_nearest_are_the_nearest_two_at_one_time() -> None:
+    at = np.array([[[0.0, 0, 0], [5, 0, 0], [0, 3, 4]], [[9, 0, 0], [5, 0, 3], [np.nan] * 3]])
+    assert metrics.nearest_m(at) == pytest.approx(5.0)
+    at[1, 2] = 9, 2, 0
+    assert metrics.nearest_m(at) == pytest.approx(2.0)
+    assert np.isnan(metrics.nearest_m(at[:, :1]))
+    assert np.isnan(metrics.nearest_m(at[:0]))
+
+
 def test_yaw_errors_go_the_short_way_round(flight: Flight) -> None:
     true = flight.absolute.copy()
     true[..., 3] = np.pi - 0.01

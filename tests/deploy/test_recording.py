@@ -80,6 +80,20 @@ def test_the_last_registration_of_each_agent_is_kept(flown: Flown, packets: list
     assert recording.rejected == {"unexpected": 2, "epoch": 1, "mav": 1}
 
 
+def test_who_has_touched_whom(flown: Flown, packets: list[Packet]) -> None:
+    epoch = read_log(flown.folder / "log.mcap").origin.epoch
+
+    def contact(mav: int, *others: int, tick: int = 4) -> Packet:
+        header = (messages.VERSION, epoch, 0, tick, tick * 10**8)
+        return Packet(topics.key(topics.CONTACT, mav), messages.encode(messages.Contact(*header, mav, bytes(others))))
+
+    assert assembled(flown, packets).touched == set()
+    told = [contact(1, 2), contact(2, 1), contact(2, 1, tick=5), contact(3, 2), contact(1, 9)]
+    recording = assembled(flown, packets + told)
+    assert recording.touched == {(1, 2), (2, 3)}  # one end of it is enough
+    assert recording.rejected == {"unexpected": 1}
+
+
 def test_a_run_that_broke_off_is_as_long_as_its_truth(flown: Flown, packets: list[Packet]) -> None:
     recording = assembled(flown, packets[: len(packets) // 2])
     assert 1 < recording.ticks < TICKS

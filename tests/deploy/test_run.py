@@ -25,7 +25,7 @@ from tests.deploy.conftest import EXPERIMENT, SMALL, TICKS, Flown, registration
 SUMMARY = {
     "experiment", "seed", "mode", "transport", "agents", "ticks", "sim_s", "wall_s", "real_time_factor", "late_ticks",
     "relative", "absolute", "naive", "clairvoyant", "anees", "nis_inside", "disagreement_m", "estimator_ms", "network",
-    "registration", "across_cuts", "mavs", "late_starts",
+    "registration", "across_cuts", "mavs", "late_starts", "flight",
 }  # fmt: skip
 SCORE = {"rmse_m", "rmse_deg", "final_rmse_m", "final_rmse_deg", "max_m"}
 
@@ -51,6 +51,7 @@ def test_the_folder_and_the_summary_are_as_the_contract_says(flown: Flown) -> No
     assert summary["registration"].keys() == {
         "commit_nees", "position_1s_m", "yaw_1s_rad", "position_1s_p95_m", "yaw_1s_p95_rad",
     }  # fmt: skip
+    assert summary["flight"].keys() == {"nearest_m", "collisions"}
     assert summary["mavs"][0].keys() == {
         "id", "state", "reason", "hypotheses", "localised_at_s", "wrong_commits", "restarts",
     }  # fmt: skip

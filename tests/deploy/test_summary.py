@@ -61,6 +61,15 @@ def test_registration_is_scored_from_the_first_commits_on(recording: Recording, 
     assert 0 < found["commit_nees"] < 10
 
 
+def test_how_near_they_came_and_how_many_touched(recording: Recording) -> None:
+    truth = recording.truth.copy()
+    truth[7, 2, :3] = truth[7, 0, :3] + [0.3, 0.0, 0.4]
+    bumped = dataclasses.replace(recording, truth=truth, touched={(1, 3), (2, 3)})
+    assert summarised(bumped)["flight"] == {"nearest_m": pytest.approx(0.5), "collisions": 2}
+    assert summarised(recording)["flight"]["nearest_m"] > 0.6
+    assert summarised(recording)["flight"]["collisions"] == 0
+
+
 def test_what_never_happened_is_null(recording: Recording, states: np.ndarray) -> None:
     states[:] = SEARCHING
     states[:, range(3), range(3)] = LOCALISED

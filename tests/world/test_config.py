@@ -9,9 +9,11 @@ import pytest
 from agent.interface.fleet import Fleet
 from agent.interface.tables import BadExperiment
 from world.config import Survey, parse
+from world.wind import Wind
 
 CIRCLE: dict[str, Any] = {"formation": "circle", "radius_m": 1.35, "hold_s": 2.0}
 PATH: dict[str, Any] = {"path": [CIRCLE]}
+FLIGHTS: dict[str, Any] = {"flights": [{"truth": "a", "vio": "b"}] * 7, "flights_dir": "nowhere"}
 
 
 def test_defaults_are_the_papers() -> None:
@@ -22,6 +24,8 @@ def test_defaults_are_the_papers() -> None:
     assert config.detector.bearing_sigma_rad == 0.008
     assert config.start_yaw == "random"
     assert not config.random_window
+    assert not config.commanded
+    assert config.wind == Wind((0.0, 0.0, 0.0), 0.0, 1.0)
     assert parse(PATH | {"survey": "none", "start_yaw": "zero"}, Fleet()).survey == "none"
     assert parse({"path": [CIRCLE | {"center": [1, 2, 3]}]}, Fleet()).path[0].center == (1, 2, 3)
 
@@ -31,7 +35,27 @@ def test_defaults_are_the_papers() -> None:
     [
         ({}, "world: 0 legs of a path and 0 recorded flights, expected one of the two"),
         (PATH | {"flights": [{"truth": "a", "vio": "b"}]}, "1 legs of a path and 1 recorded flights"),
-        (PATH | {"wind": 3}, "world.wind: there is no such key"),
+        (PATH | {"rain": 3}, "world.rain: there is no such key"),
+        (PATH | {"wind": 3}, "world.wind = 3: expected object, got int"),
+        (PATH | {"wind": {"mean_m_s": [1.0, 2.0]}}, "world.wind.mean_m_s: expected array of length 3"),
+        (PATH | {"wind": {"mean_m_s": [0.0, 99.0, 0.0]}}, r"world.wind.*mean_m_s = \[0.0, 99.0, 0.0\]: expected three"),
+        (PATH | {"wind": {"gust_sigma_m_s": -1.0}}, "world.wind.*gust_sigma_m_s = -1.0: expected 0 to 30 m/s"),
+        (PATH | {"wind": {"gust_time_s": 0.0}}, "world.wind.*gust_time_s = 0.0: expected 0.01 to 3600 s"),
+        (FLIGHTS | {"wind": {"gust_sigma_m_s": 1.0}}, r"world.wind: expected \[\[world.path\]\], no wind can"),
+        (PATH | {"commanded": 1}, "world.commanded = 1: expected bool, got int"),
+        (FLIGHTS | {"commanded": True}, "world.commanded = true: recorded flights, expected one leg"),
+        (
+            {"path": [CIRCLE, CIRCLE | {"move_s": 2.0}], "commanded": True},
+            "world.commanded = true: 2 legs of a path, expected one leg: where the MAVs start",
+        ),
+        (
+            {"path": [CIRCLE | {"radius_m": 0.5, "height_step_m": 1.0}], "commanded": True},
+            r"world.path\[0\]: when there MAVs . and . are 0.43 m apart, expected at least 0.6 m",
+        ),
+        (
+            {"path": [{"formation": "box", "size_m": [2.0, 2.0, 50.0]}], "commanded": True},
+            r"world.path\[0\].size_m = \[2.0, 2.0, 50.0\]: 7 MAVs are never all 1 m apart",
+        ),
         ({"path": [CIRCLE | {"speed": 3}]}, r"world.path\[0\].speed: there is no such key"),
         ({"path": [{"formation": "ring"}]}, r"world.path\[0\].formation = 'ring': invalid enum value"),
         ({"path": [{"radius_m": 1.0}]}, r"world.path\[0\].formation: this key is required"),

@@ -86,3 +86,16 @@ def test_mavs_do_not_pass_through_each_other() -> None:
     for _ in range(80):
         physics.step(hover_thrusts(physics))
         assert np.linalg.norm(physics.state.position[1] - physics.state.position[0]) > 0.5
+
+
+def test_mavs_that_touch_are_told_and_the_ground_is_not() -> None:
+    physics = Physics(np.array([[5.0, 0.0, 0.04, 0.0], [0.0, 0.0, 2.0, 0.0], [0.53, 0.0, 2.0, 0.0]]), STEP_S)
+    physics.thrusts[0] = 0.0
+    physics.step(np.zeros((3, 4)))
+    assert physics.touching() == {(2, 3)}
+    physics.state.position[2] = (5.3, 0.0, 0.04)
+    physics.step(np.zeros((3, 4)))
+    assert physics.touching() == {(1, 3)}
+    physics.state.position[2] = (9.0, 0.0, 0.04)
+    physics.step(np.zeros((3, 4)))
+    assert physics.touching() == set()

@@ -31,6 +31,7 @@ EXAMPLES = [
     m.ProcessFault(*HEADER, "restart"),
     m.Truth(*HEADER, 3, bytes(24), bytes(32)),
     m.Labels(*HEADER, 3, bytes([0, 2])),
+    m.Contact(*HEADER, 3, bytes([1, 2])),
 ]
 
 
@@ -126,6 +127,9 @@ WRONG_BODIES = [
     (m.Setpoint, [bytes(24), bytes(24), bytes(24), float("inf")]),
     (m.Setpoint, [bytes(24), pose(np.nan, 0, 0), bytes(24), 0.0]),
     (m.Status, [1, 2, 3, 4, 5, 6, 7, [0] * 65]),
+    (m.Contact, [3, b""]),
+    (m.Contact, [3, bytes([2, 1])]),
+    (m.Contact, [3, bytes([1, 3])]),
     (m.Roll, [bytes([3, 1]), [0, 0]]),
     (m.Roll, [bytes([1, 1]), [0, 0]]),
     (m.Roll, [bytes([1, 3]), [0]]),
