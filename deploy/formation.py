@@ -4,26 +4,17 @@ A formation is where it is by estimates, so what counts is its shape: the error 
 about the vertical that fit best.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from agent.interface.frames import Array, rotate_z
 from agent.interface.intent import FORMING, HOLDING, NOWHERE
 from agent.interface.mission import Mission, places
+from agent.interface.tables import parse_table
+from deploy.recording import Intents
 
 LAST_S = 5.0  # of a run, over which the formation is judged
-
-Index = npt.NDArray[np.int64]
-
-
-class Intents(NamedTuple):
-    """What each MAV said that it was about to do; -1 where it said nothing."""
-
-    phase: Index  # (K, N) index into PHASES
-    formation: Index  # (K, N)
-    place: Index  # (K, N)
 
 
 class Shape(NamedTuple):
@@ -31,6 +22,11 @@ class Shape(NamedTuple):
 
     goals: Array  # (n, 3) m
     rms_m: float  # of the distances to them
+
+
+def mission_of(agent: dict[str, Any]) -> Mission | None:
+    """What is flown, from an experiment's [agent] table."""
+    return parse_table(Mission, agent["mission"], "agent.mission") if "mission" in agent else None
 
 
 def fitted(positions: Array, goals: Array) -> Shape:

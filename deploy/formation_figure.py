@@ -6,16 +6,17 @@ import numpy as np
 from matplotlib import colormaps, rc_context
 from matplotlib.figure import Figure
 
-from agent.interface.frames import Array
 from agent.interface.intent import HOLDING
-from deploy.formation import Intents, Shape
+from deploy.formation import Shape
+from deploy.recording import Intents
 from deploy.report import SMALL
+from deploy.summary import Analysis
 
 
-def draw_formation(
-    time_s: Array, positions: Array, found: list[Shape | None], intents: Intents, experiment: str, path: Path
-) -> None:
-    """Of times (K,), true positions (K, N, 3) m and the shapes (K) of `formation.shapes`."""
+def draw_formation(analysis: Analysis, experiment: str, path: Path) -> None:
+    """From above, from the side, and the distance to the desired relative positions over time."""
+    recording, found = analysis.recording, analysis.shapes or []
+    time_s, positions, intents = recording.time_s, recording.truth[..., :3], recording.intents
     with rc_context(SMALL):
         figure = Figure(figsize=(10.5, 4.2), layout="constrained")
         above, aside, course = figure.subplots(1, 3, width_ratios=(1.1, 0.9, 1.1))

@@ -59,6 +59,14 @@ class Arrival(NamedTuple):
     tick: int  # at which it was measured
 
 
+class Intents(NamedTuple):
+    """What each MAV said that it was about to do; -1 where it said nothing."""
+
+    phase: npt.NDArray[np.int64]  # (K, N) index into PHASES
+    formation: npt.NDArray[np.int64]  # (K, N)
+    place: npt.NDArray[np.int64]  # (K, N)
+
+
 class ProcessFault(NamedTuple):
     tick: int  # before which it happened
     mav: int  # MAV number
@@ -72,6 +80,7 @@ class Recording:
     truth: Array  # (K, N, 7) in world: x y z m, quaternion x y z w
     vio: Array  # (K, N, 7) in each MAV's odometry frame: the same, as its driver gave it
     odometry: Array  # (K, N, 4) in each MAV's odometry frame: x y z m, yaw rad, as it told its peers
+    intents: Intents
     beliefs: Beliefs
     covariances: Array  # (K, N, N, 4, 4) of the estimates
     innovations: Array  # (K, N, 2) how many detections were associated, how many of them inside their 95 % gate
@@ -125,6 +134,7 @@ class _Builder:
         self.truth = np.full((K, N, 7), np.nan)
         self.vio = np.full((K, N, 7), np.nan)
         self.odometry = np.full((K, N, 4), np.nan)
+        self.intents = Intents(*np.full((3, K, N), -1, np.int64))
         self.beliefs = Beliefs.none(K, N)
         self.covariances = np.full((K, N, N, 4, 4), np.nan)
         self.innovations = np.full((K, N, 2), np.nan)
@@ -169,6 +179,9 @@ class _Builder:
                 self.vio[k, i] = np.concatenate([floats(message.position), floats(message.quaternion)])
             case messages.Odometry():
                 self.odometry[k, i] = floats(message.pose)
+                if (said := message.intent) is not None:
+                    for part, value in zip(self.intents, (said.phase, said.formation, said.place), strict=True):
+                        part[k, i] = value
             case messages.Detections():
                 self.detections[k, mav] = read_spherical(message.spherical)
             case messages.Labels():
@@ -246,6 +259,7 @@ class _Builder:
             truth=self.truth[:K],
             vio=self.vio[:K],
             odometry=self.odometry[:K],
+            intents=Intents(*(part[:K] for part in self.intents)),
             beliefs=self.beliefs.until(K),
             covariances=self.covariances[:K],
             innovations=self.innovations[:K],

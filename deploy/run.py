@@ -86,8 +86,9 @@ def score(folder: Path) -> dict[str, Any]:
         BadExperiment: the experiment in it is not one for this version of the programs.
         NothingRecorded: no tick of the run is in it.
     """
-    from deploy import report, summary, tum
+    from deploy import formation, report, summary, tum
     from deploy.clairvoyant import replay
+    from deploy.formation_figure import draw_formation
     from deploy.recording import assemble
 
     log = read_log(folder / "log.mcap")
@@ -96,12 +97,14 @@ def score(folder: Path) -> dict[str, Any]:
     if not recording.ticks:
         raise NothingRecorded(f"{folder / 'log.mcap'}: no tick of the run was recorded")
     twin = replay(recording, experiment.agent)
-    analysis = summary.analyse(recording, twin, experiment.faults)
+    analysis = summary.analyse(recording, twin, experiment.faults, formation.mission_of(experiment.agent))
     circumstances = summary.Circumstances(experiment.name, log.origin.transport, log.wall_s)
     content = summary.summarise(analysis, circumstances)
     (folder / "summary.json").write_text(summary.to_json(content))
     tum.export(recording, folder)
     report.draw_errors(analysis, experiment.name, folder / "errors.png")
+    if analysis.shapes is not None:
+        draw_formation(analysis, experiment.name, folder / "formation.png")
     return content
 
 

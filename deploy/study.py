@@ -33,6 +33,8 @@ METRICS: dict[str, Callable[[dict[str, Any]], float | None]] = {
     "position_1s_m": lambda run: run["registration"]["position_1s_m"],
     "yaw_1s_rad": lambda run: run["registration"]["yaw_1s_rad"],
     "position_1s_p95_m": lambda run: run["registration"]["position_1s_p95_m"],
+    "formation_rms_m": lambda run: run["flight"]["formation_rms_m"],
+    "nearest_m": lambda run: run["flight"]["nearest_m"],
     "yaw_1s_p95_rad": lambda run: run["registration"]["yaw_1s_p95_rad"],
 }
 
@@ -105,7 +107,7 @@ def _dimension(text: str) -> tuple[str, str]:
 def run_one(job: Job) -> dict[str, Any]:
     """The summary of one run, flown in memory; with the cell it belongs to."""
     from agent.interface import clock
-    from deploy import summary
+    from deploy import formation, summary
     from deploy.clairvoyant import replay
     from deploy.composition import fly
     from deploy.recording import assemble
@@ -118,7 +120,7 @@ def run_one(job: Job) -> dict[str, Any]:
     wall_s = clock.now_s() - began_s
     recording = assemble(packets, experiment.fleet, EPOCHS[0])
     twin = replay(recording, experiment.agent)
-    analysis = summary.analyse(recording, twin, experiment.faults)
+    analysis = summary.analyse(recording, twin, experiment.faults, formation.mission_of(experiment.agent))
     content = summary.summarise(analysis, summary.Circumstances(experiment.name, "memory", wall_s))
     return content | {"grid": job.grid}
 

@@ -8,8 +8,10 @@ import numpy as np
 
 from agent.interface.frames import Array
 from agent.interface.messages import LOCALISED, STATES, floats
+from agent.interface.mission import Mission
 from deploy import commits, metrics
 from deploy.faults import Faults
+from deploy.formation import Shape, last_rms_m, shapes
 from deploy.metrics import Errors, Mask, Score
 from deploy.pairs import Pairs, first_of_spell, late_starts, localised_since, pairs_of
 from deploy.recording import Beliefs, Recording
@@ -42,10 +44,11 @@ class Analysis(NamedTuple):
     faults: Faults
     since_s: Array  # (K, N, N) since when i has called j localised, in the present lives of both
     across: dict[str, Score]  # relative errors of pairs that a fault keeps apart; naive: dead reckoning from the cut
+    shapes: list[Shape | None] | None  # (K) of the formations that were flown; None without a mission
 
 
-def analyse(recording: Recording, twin: Beliefs, faults: Faults = NONE) -> Analysis:
-    """Errors of the recording's estimates, of the naive baseline and of the clairvoyant twin."""
+def analyse(recording: Recording, twin: Beliefs, faults: Faults = NONE, mission: Mission | None = None) -> Analysis:
+    """Errors of the recording's estimates, of the naive baseline and of the clairvoyant twin, and of what was flown."""
     true_poses, time_s = recording.true_poses, recording.time_s
     origins = metrics.origins_of_lives(true_poses, recording.odometry, recording.incarnations)
     true_absolute = metrics.absolute_from_world(origins, true_poses)
@@ -79,6 +82,7 @@ def analyse(recording: Recording, twin: Beliefs, faults: Faults = NONE) -> Analy
         faults=faults,
         since_s=since(recording.beliefs),
         across=_across(recording, pairs, courses, true_relative),
+        shapes=None if mission is None else shapes(recording.truth[..., :3], recording.intents, mission),
     )
 
 
@@ -129,7 +133,11 @@ def summarise(analysis: Analysis, circumstances: Circumstances) -> dict[str, Any
         "disagreement_m": metrics.disagreement_m(recording.beliefs.estimates, recording.beliefs.states),
         "registration": _registration(analysis),
         "across_cuts": {name: score._asdict() for name, score in analysis.across.items()} or None,
-        "flight": {"nearest_m": metrics.nearest_m(recording.truth[..., :3]), "collisions": len(recording.touched)},
+        "flight": {
+            "nearest_m": metrics.nearest_m(recording.truth[..., :3]),
+            "collisions": len(recording.touched),
+            "formation_rms_m": None if analysis.shapes is None else last_rms_m(analysis.shapes, fleet.rate_hz),
+        },
         "estimator_ms": _estimator_ms(recording),
         "network": _network(recording, sim_s),
         "mavs": _mavs(analysis),

@@ -7,7 +7,7 @@ from agent.interface.frames import rotate_z
 from agent.interface.intent import FORMING, HOLDING, LOST
 from agent.interface.mission import Leg, Mission, places
 from deploy import formation
-from deploy.formation import Intents
+from deploy.recording import Intents
 
 MISSION = Mission((Leg("line", length_m=3.0), Leg("circle", radius_m=1.2)))
 
