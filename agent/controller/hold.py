@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from agent.controller.trajectory import Sample
 from agent.interface.frames import Array
 
@@ -16,4 +14,4 @@ class Hold:
         """To stay at the first place that this was asked at, given the present pose (4,)."""
         if self.position is None:
             self.position = odometry[:3]
-        return Sample(self.position, np.zeros(3), np.zeros(3), np.zeros(3))
+        return Sample.rest(self.position)

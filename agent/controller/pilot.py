@@ -8,6 +8,7 @@ where it is. Whoever loses the leader or a teammate stops, says so, and lands in
 """
 
 import logging
+import math
 
 import numpy as np
 from msgspec.structs import replace
@@ -34,6 +35,7 @@ from agent.interface.mission import Mission
 
 WAIT_S = 0.5  # before take-off: a MAV that finds the others flying is in the air, too
 REPLAN_S = 1.0  # at least, for a way that is planned anew
+WIDER = 1.5  # times the limits are allowed to a way that is changed in mid-flight
 LANDING_M_S = 0.5
 FAR_DOWN_M = 20.0  # the way to a ground of which nothing is known
 
@@ -150,7 +152,13 @@ class Pilot:
     def _go_to(self, here: Surroundings, goal: Array, least_s: float) -> None:
         now = here.stamp_ns
         begin = Sample.rest(goal) if self._plan is None else self._sample(now)
-        duration_s = duration_within(begin, goal, self._limits, least_s)
+        duration_s = duration_within(begin, goal, self._limits, max(least_s, 0.0))
+        if duration_s == math.inf:
+            wider = Limits(*(WIDER * limit for limit in self._limits))
+            duration_s = duration_within(begin, goal, wider, max(least_s, 0.0))
+        if duration_s == math.inf:
+            begin = Sample.rest(begin.position)
+            duration_s = duration_within(begin, goal, self._limits, max(least_s, 0.0))
         self._plan = minimum_snap(np.stack([begin.position, goal]), np.array([0.0, duration_s]), begin)
         self._goal, self._begun_ns, self._ends_ns = goal, now, now + _ns(duration_s)
         self._until_ns = self._ends_ns
