@@ -37,7 +37,12 @@ def check(experiment: Experiment, in_process: bool) -> Checked:
 
     if in_process and experiment.fleet.realtime:
         raise BadExperiment("fleet.realtime = true: in one process there is no real time, expected false")
-    return Checked(parse_world(experiment.world, experiment.fleet), parse_agent(experiment.agent, experiment.fleet))
+    world, agent = parse_world(experiment.world, experiment.fleet), parse_agent(experiment.agent, experiment.fleet)
+    if agent.mission is not None and not world.commanded:
+        raise BadExperiment(
+            "agent.mission: the MAVs do not fly what their agents command, expected world.commanded = true"
+        )
+    return Checked(world, agent)
 
 
 def fly(experiment: Experiment, epoch: int, record: Callable[[list[Packet]], None]) -> None:

@@ -47,7 +47,7 @@ class TeamPlan:
 
     def agree(self, here: Surroundings, intent: Intent, limits: Limits) -> tuple[Intent, Together | None]:
         """What it claims now; and when all set out, once everybody has claimed a place of his own and it is time."""
-        others = {mav: said for mav, said in here.intents.items() if here.present[mav - 1] and said.phase < LANDING}
+        others = {mav: said for mav, said in here.intents.items() if self._counts(here, mav, said)}
         formation = max([intent.formation, *(said.formation for said in others.values())])  # that nobody is behind
         same = {mav: said for mav, said in others.items() if said.formation == formation and said.phase != LOST}
         claims = {mav: said.place for mav, said in same.items() if said.place != NOWHERE}
@@ -72,6 +72,11 @@ class TeamPlan:
         self._about = self._center(here)
         longest_s = max([claim.duration_s, *(said.duration_s for said in same.values())])
         return claim, Together(begin_ns, begin_ns + round(longest_s * 1e9))
+
+    def _counts(self, here: Surroundings, mav: int, said: Intent) -> bool:
+        """Whether it is there, in the air, and flies the same mission."""
+        possible = said.formation < len(self._mission.legs) and (said.place < len(here.poses) or said.place == NOWHERE)
+        return bool(here.present[mav - 1]) and said.phase < LANDING and possible
 
     def _positions(self, here: Surroundings, mavs: list[int]) -> Array:
         """(n, 3) m of these, in the leader's odometry frame."""

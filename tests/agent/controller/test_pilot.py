@@ -7,7 +7,7 @@ from agent.controller.pilot import Pilot
 from agent.controller.surroundings import Surroundings
 from agent.interface.fleet import Fleet
 from agent.interface.frames import compose, inverse
-from agent.interface.intent import FORMING, HOLDING, LANDED, LOST, PHASES, READY
+from agent.interface.intent import FORMING, HOLDING, LANDED, LOST, PHASES, READY, Intent
 from agent.interface.mission import Leg, Mission, check
 
 TICK_NS = 100_000_000
@@ -197,3 +197,13 @@ def test_drift_is_followed_if_it_is_closed_loop(closed):
         team.fly(1)
     team.fly(15)
     assert (off_line(team) < 0.12) == closed
+
+
+def test_intents_that_make_no_sense_in_this_mission_do_not_count():
+    team = Team(Mission((LONG,)), 7)
+    nonsense = [Intent(READY, 9, 2, 0, 1.0), Intent(FORMING, 0, 77, 0, 1.0)]
+    team.fly(1)
+    for k in range(150):
+        team.said[-1][5] = nonsense[k % 2]
+        team.fly(1)
+    assert {team.pilots[mav].intent.phase for mav in (1, 2, 3, 4)} == {HOLDING}

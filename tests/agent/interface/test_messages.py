@@ -88,6 +88,12 @@ def test_a_wrong_header_is_named(kind, message, reason):
 
 
 WRONG_BODIES = [
+    (m.Odometry, [pose(0.0, 0, 0, 0), [8, 0, 0, 0, 0.0]]),
+    (m.Odometry, [pose(0.0, 0, 0, 0), [0, -1, 0, 0, 0.0]]),
+    (m.Odometry, [pose(0.0, 0, 0, 0), [0, 0, 256, 0, 0.0]]),
+    (m.Odometry, [pose(0.0, 0, 0, 0), [0, 0, 0, 2**62, 0.0]]),
+    (m.Odometry, [pose(0.0, 0, 0, 0), [0, 0, 0, 0, -1.0]]),
+    (m.Odometry, [pose(0.0, 0, 0, 0), [0, 0, 0, 0]]),
     (m.Odometry, [pose(0.0, np.nan, 0, 0)]),
     (m.Odometry, [pose(0.0, np.inf, 0, 0)]),
     (m.Odometry, [pose(0.0, 0, 0)]),
