@@ -168,7 +168,7 @@ class Pilot:
         return self._plan.at((now_ns - self._begun_ns) / 1e9)
 
     def _say(self, phase: int) -> None:
-        log.info("%s formation %d", PHASES[phase], self.intent.formation + 1)
+        log.info("%s (formation %d)", PHASES[phase], self.intent.formation + 1)
         if phase in (READY, WAITING, TAKING_OFF):
             self._until_ns = 2**62  # until all are ready
         self.intent = replace(self.intent, phase=phase)
