@@ -29,6 +29,7 @@ def run(*mavs: tuple[str, float | None, int], cell: int = 1, **changed: Any) -> 
         "nis_inside": 0.95,
         "disagreement_m": 0.01,
         "registration": TABLE,
+        "flight": {"nearest_m": 0.9, "collisions": 0, "formation_rms_m": None},
         "estimator_ms": {"tick_p99": 10.0},
         "mavs": [dict(zip(keys, mav, strict=True)) for mav in mavs],
     } | changed
