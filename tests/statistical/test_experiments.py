@@ -108,6 +108,17 @@ def test_a_take_off_to_different_heights_tells_who_is_who():
 
 
 @pytest.mark.statistical
+@pytest.mark.parametrize("faults", [(), ("faults.loss=0.2", "faults.delay_ms=100")])
+def test_told_nothing_they_take_off_and_form_a_line(faults):
+    line = 'agent.mission.legs=[{formation="line", length_m=3.0, hold_s=60.0}]'
+    (run,) = summaries("formation_line", "fleet.mavs=3", "fleet.duration_s=18", line, *faults, seeds=range(1))
+    assert run["flight"]["formation_rms_m"] < 0.1
+    assert run["flight"]["nearest_m"] > 0.65
+    assert run["flight"]["collisions"] == 0
+    assert total_wrong([run]) == 0
+
+
+@pytest.mark.statistical
 @pytest.mark.skipif(not EUROC.is_dir(), reason="the EuRoC trajectories are not here")
 def test_three_recorded_flights_told_nothing_localise_themselves():
     runs = summaries("cold_start_recorded", f"world.flights_dir={EUROC}", "fleet.duration_s=8", seeds=range(1))
