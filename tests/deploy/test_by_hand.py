@@ -31,6 +31,11 @@ def written(folder: Path, network: str) -> list[str]:
     return [str(folder / "two.toml"), "--network", str(folder / "network.toml"), "--epoch", "7"]
 
 
+def heed() -> None:
+    """A shell that starts the tests in the background has them, and all they start, ignore Ctrl-C."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 @pytest.mark.system
 def test_a_run_of_processes_started_by_hand(tmp_path: Path) -> None:
     names = ("recorder", "world", "mav_1", "mav_2")
@@ -40,7 +45,7 @@ def test_a_run_of_processes_started_by_hand(tmp_path: Path) -> None:
     program = [sys.executable, "-m", "deploy", "recorder", *words, "--out", str(tmp_path / "run")]
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
     with (
-        subprocess.Popen(program, stdout=subprocess.PIPE, text=True, env=environment) as recorder,
+        subprocess.Popen(program, stdout=subprocess.PIPE, text=True, env=environment, preexec_fn=heed) as recorder,
         ThreadPoolExecutor() as threads,
     ):
         others = [threads.submit(by_hand.run, experiment, where, name, 7) for name in names[1:]]
