@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 
 from agent.interface.fleet import Fleet
-from agent.interface.formations import SIZES, regular
+from agent.interface.formations import SIZES, regular, size_key
 from agent.interface.frames import Array, rotate_z
 from agent.interface.seeds import generator
 from agent.interface.tables import BadExperiment
@@ -105,12 +105,7 @@ def _slots(leg: Leg, fleet: Fleet, index: int, on_ground: bool) -> Array:
 
 def _formation(leg: Leg, fleet: Fleet, index: int, where: str, on_ground: bool) -> Array:
     """(N, 3) m: everybody's place about the centre, headed along x."""
-    needed = FORMATIONS[leg.formation]
-    for name in dict.fromkeys(FORMATIONS.values()):
-        given = getattr(leg, name) is not None
-        if given != (name == needed):
-            verb = "does not take" if given else "needs"
-            raise BadExperiment(f"{where}: formation {leg.formation!r} {verb} {name}")
+    needed = size_key(leg, FORMATIONS, where)
     if leg.points is not None:
         if len(leg.points) != fleet.mavs:
             raise BadExperiment(f"{where}.points: {len(leg.points)} points, expected {fleet.mavs}, one per MAV")

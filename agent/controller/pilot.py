@@ -169,7 +169,7 @@ class Pilot:
 
     def _say(self, phase: int) -> None:
         log.info("%s (formation %d)", PHASES[phase], self.intent.formation + 1)
-        if phase in (READY, WAITING, TAKING_OFF):
+        if phase == READY:
             self._until_ns = 2**62  # until all are ready
         self.intent = replace(self.intent, phase=phase)
 

@@ -1,14 +1,37 @@
 """Where is everybody in a formation, seen from its centre and with its heading along x? For paths and for missions."""
 
 import math
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 
 from agent.interface.frames import Array
+from agent.interface.tables import BadExperiment
 
 Formation = Literal["circle", "line", "v", "grid", "points"]
 SIZES = {"circle": "radius_m", "line": "length_m", "v": "length_m", "grid": "spacing_m", "points": "points"}
+
+
+class HasFormation(Protocol):
+    """A leg of a path or of a mission."""
+
+    @property
+    def formation(self) -> str: ...
+
+
+def size_key(leg: HasFormation, sizes: dict[str, str], where: str) -> str:
+    """Which key says how large the leg's formation is.
+
+    Raises:
+        BadExperiment: it is not given, or another is.
+    """
+    needed = sizes[leg.formation]
+    for name in dict.fromkeys(sizes.values()):
+        given = getattr(leg, name) is not None
+        if given != (name == needed):
+            verb = "does not take" if given else "needs"
+            raise BadExperiment(f"{where}: formation {leg.formation!r} {verb} {name}")
+    return needed
 
 
 def regular(formation: str, size_m: float, mavs: int) -> Array:

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 
 from agent.interface.fleet import Fleet
-from agent.interface.formations import SIZES, Formation, regular
+from agent.interface.formations import SIZES, Formation, regular, size_key
 from agent.interface.frames import Array, rotate_z
 from agent.interface.tables import BadExperiment
 
@@ -22,11 +22,7 @@ class Leg(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     length_m: float | None = None  # line (abreast): from end to end; v (open to the rear, 90 deg): of one arm
     spacing_m: float | None = None  # grid: of rows and of columns
     points: tuple[tuple[float, float, float], ...] | None = None  # points: m from the centre, one per MAV
-    center: tuple[float, float, float] = (
-        0.0,
-        0.0,
-        1.5,
-    )  # m: x and y from what it is about, height in the leader's frame
+    center: tuple[float, float, float] = (0.0, 0.0, 1.5)  # m: from what it is about; the height in the leader's frame
     heading_rad: float = 0.0  # in the leader's odometry frame; turns the formation about its centre
     hold_s: float = 5.0
 
@@ -35,7 +31,7 @@ class Mission(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     legs: tuple[Leg, ...]
     leader: int = 1  # the MAV in whose odometry frame the formations stand
     about: Literal["centroid", "leader"] = (
-        "centroid"  # of the team when it sets out, or where the leader's odometry began
+        "centroid"  # of the team as it sets out; or where the leader's odometry began
     )
     take_off_m: float = 1.0  # the height that MAV 1 takes off to
     take_off_step_m: float = 0.25  # by which each further MAV goes higher: it tells who is who where places do not
@@ -78,12 +74,7 @@ def check(mission: Mission, fleet: Fleet) -> None:
 
 
 def _check_leg(leg: Leg, mavs: int, where: str) -> None:
-    needed = SIZES[leg.formation]
-    for name in dict.fromkeys(SIZES.values()):
-        given = getattr(leg, name) is not None
-        if given != (name == needed):
-            verb = "does not take" if given else "needs"
-            raise BadExperiment(f"{where}: formation {leg.formation!r} {verb} {name}")
+    needed = size_key(leg, SIZES, where)
     if leg.points is None and not 0 < getattr(leg, needed) <= 1000:
         raise BadExperiment(f"{where}.{needed} = {getattr(leg, needed):g}: expected between 0 and 1000 m")
     if leg.points is not None and len(leg.points) != mavs:
