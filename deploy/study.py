@@ -8,12 +8,15 @@ import os
 import signal
 from collections.abc import Callable, Generator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from agent.interface.bus import Packet
 from agent.interface.tables import BadExperiment
 from deploy.experiment import load, value
 from deploy.leash import die_with
+
+if TYPE_CHECKING:  # numpy and matplotlib are slow to import: `swarm` starts without them
+    from deploy.summary import Analysis, Circumstances
 
 METRICS: dict[str, Callable[[dict[str, Any]], float | None]] = {
     "relative_rmse_m": lambda run: run["relative"]["rmse_m"],
@@ -104,8 +107,8 @@ def _dimension(text: str) -> tuple[str, str]:
     return path.strip(), texts
 
 
-def run_one(job: Job) -> dict[str, Any]:
-    """The summary of one run, flown in memory; with the cell it belongs to."""
+def analysed(job: Job) -> "tuple[Analysis, Circumstances]":
+    """One run, flown in memory, replayed by the clairvoyant twin, and looked at."""
     from agent.interface import clock
     from deploy import formation, summary
     from deploy.clairvoyant import replay
@@ -121,8 +124,14 @@ def run_one(job: Job) -> dict[str, Any]:
     recording = assemble(packets, experiment.fleet, EPOCHS[0])
     twin = replay(recording, experiment.agent)
     analysis = summary.analyse(recording, twin, experiment.faults, formation.mission_of(experiment.agent))
-    content = summary.summarise(analysis, summary.Circumstances(experiment.name, "memory", wall_s))
-    return content | {"grid": job.grid}
+    return analysis, summary.Circumstances(experiment.name, "memory", wall_s)
+
+
+def run_one(job: Job) -> dict[str, Any]:
+    """The summary of one run; with the cell it belongs to."""
+    from deploy import summary
+
+    return summary.summarise(*analysed(job)) | {"grid": job.grid}
 
 
 def run_all(wanted: list[Job], processes: int, progress: Callable[[int], None]) -> Study:
