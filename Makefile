@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: run test check bench decidable starts fuzz schedules soak lock clean
+.PHONY: run test check bench decidable starts networks fuzz schedules soak lock clean
 .DEFAULT_GOAL := help
 
 help:
@@ -13,6 +13,7 @@ help:
 	@echo "make bench  time one station update against the plain one, N = 3..9 (runs/bench.json)"
 	@echo "make decidable  measure which starts can be decided (deploy/pictures/decidable.png)"
 	@echo "make starts  the table of starts, 200 seeds a row, hours (runs/starts; SEEDS=0:20 ROWS='box_7 line' for less)"
+	@echo "make networks  the table of faults, ten seeds a row, half an hour (runs/networks.md; SEEDS=0:2)"
 	@echo "make fuzz   100,000 hostile messages to one agent (runs/fuzz.json)"
 	@echo "make schedules  a thousand random fault schedules (runs/schedules.json; SEEDS=0:100 for some)"
 	@echo "make soak   ten minutes of random kills and stops (runs/soak.json; SECONDS=60 for a short one)"
@@ -42,6 +43,9 @@ fuzz: .venv/ready-to-test
 
 starts: .venv/ready-to-test
 	$(BIN)/python -m tests.bench.starts $(or $(SEEDS),0:200) $(ROWS)
+
+networks: .venv/ready-to-test
+	$(BIN)/python -m tests.bench.networks $(or $(SEEDS),0:10)
 
 schedules: .venv/ready-to-test
 	$(BIN)/python -m tests.bench.schedules $(or $(SEEDS),0:1000)

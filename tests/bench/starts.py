@@ -64,6 +64,7 @@ def line(name: str, runs: list[dict[str, Any]]) -> str:
     (cell,) = study.evaluate(runs, name, "")["cells"]
     begun_s = TAKE_OFF_S if name == "take_off" else 0.0
     times = sorted(at for at in cell["values"]["localised_at_s"] if at is not None)
+    last = f"{times[-1] - begun_s:.1f}" if times else "-"
     p95, wrong = cell["localised_at_s"]["p95"], cell["wrong_commits"]
 
     def mean(metric: str, digits: int) -> str:
@@ -71,8 +72,8 @@ def line(name: str, runs: list[dict[str, Any]]) -> str:
         return "-" if value is None else f"{value:.{digits}f}"
 
     return (
-        f"| {name} | {len(runs)} | {100 * cell['all_localised']:.1f} % | {'-' if p95 is None else f'{p95 - begun_s:.1f}'}"
-        f" / {f'{times[-1] - begun_s:.1f}' if times else '-'} | {wrong['total']} in {wrong['runs']}"
+        f"| {name} | {len(runs)} | {100 * cell['all_localised']:.1f} %"
+        f" | {'-' if p95 is None else f'{p95 - begun_s:.1f}'} / {last} | {wrong['total']} in {wrong['runs']}"
         f" | {100 * cell['ambiguous_to_the_end']:.0f} % | {mean('commit_nees', 2)} | {mean('position_1s_m', 3)}"
         f" | {mean('yaw_1s_rad', 4)} | {mean('ratio_to_clairvoyant', 3)} |"
     )
