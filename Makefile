@@ -1,6 +1,7 @@
 # `make run` flies a swarm, `make test` runs the tests: each does all the set-up that it needs.
 PYTHON ?= python3
 BIN := .venv/bin
+PYTEST := $(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile
 export OPENBLAS_NUM_THREADS := 1
 
 .PHONY: run test check bench decidable starts networks fuzz schedules soak lock clean
@@ -23,14 +24,14 @@ run: .venv/ready
 	$(BIN)/swarm run paper_run_1
 
 test: .venv/ready-to-test
-	$(BIN)/python -m pytest
+	$(PYTEST)
 
 check: .venv/ready-to-test
 	$(BIN)/lint-imports
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
-	$(BIN)/python -m pytest
+	$(PYTEST)
 
 bench: .venv/ready-to-test
 	$(BIN)/python -m tests.bench.station_update
