@@ -17,6 +17,14 @@ from deploy.recording import Intents
 LAST_S = 5.0  # of a run, over which the formation is judged
 
 
+class Reached(NamedTuple):
+    """How one leg of a mission went; NaN: it was not reached."""
+
+    formation: str
+    at_s: float  # from when on all were in formation
+    rms_m: float  # from then on until the first one left
+
+
 class Shape(NamedTuple):
     """The formation as it lies in the world."""
 
@@ -50,6 +58,22 @@ def shapes(positions: Array, intents: Intents, mission: Mission) -> list[Shape |
         goals = places(mission.legs[int(formation[flying][0])], positions.shape[1])
         found.append(fitted(p[flying], goals[place[flying]]))
     return found
+
+
+def held_at(found: list[Shape | None], intents: Intents) -> list[int]:
+    """The ticks at which all that say anything are in formation, of shapes (K)."""
+    return [k for k, phase in enumerate(intents.phase) if found[k] is not None and (phase[phase >= 0] == HOLDING).all()]
+
+
+def reached(found: list[Shape | None], intents: Intents, mission: Mission, time_s: Array) -> list[Reached]:
+    """Leg by leg, of shapes (K)."""
+    legs = []
+    for number, leg in enumerate(mission.legs):
+        held = [k for k in held_at(found, intents) if intents.formation[k].max() == number]
+        squares = [shape.rms_m**2 for k in held if (shape := found[k]) is not None]
+        at_s = float(time_s[held[0]]) if held else float("nan")
+        legs.append(Reached(leg.formation, at_s, float(np.sqrt(np.mean(squares))) if held else float("nan")))
+    return legs
 
 
 def last_rms_m(found: list[Shape | None], rate_hz: float) -> float:

@@ -6,9 +6,9 @@ import numpy as np
 from matplotlib import colormaps, rc_context
 from matplotlib.figure import Figure
 
-from agent.interface.intent import HOLDING
-from deploy.formation import Shape
-from deploy.recording import Intents
+from agent.interface.frames import Array, compose, inverse, rotate_z
+from deploy.formation import held_at
+from deploy.recording import Recording, pose_of
 from deploy.report import SMALL
 from deploy.summary import Analysis
 
@@ -16,6 +16,7 @@ from deploy.summary import Analysis
 def draw_formation(analysis: Analysis, experiment: str, path: Path) -> None:
     """From above, from the side, and the distance to the desired relative positions over time."""
     recording, found = analysis.recording, analysis.shapes or []
+    desired = _desired(recording)
     time_s, positions, intents = recording.time_s, recording.truth[..., :3], recording.intents
     with rc_context(SMALL):
         figure = Figure(figsize=(10.5, 4.2), layout="constrained")
@@ -25,8 +26,10 @@ def draw_formation(analysis: Analysis, experiment: str, path: Path) -> None:
             for axis, across in ((above, (0, 1)), (aside, (0, 2))):
                 flown = positions[:, i, across]
                 axis.plot(*flown.T, color=color, linewidth=1.0, label=f"MAV {i + 1}" if axis is above else None)
+                axis.plot(*desired[:, i, across].T, color="0.2", linewidth=0.6, linestyle=(0, (2, 3)))
                 axis.plot(*flown[0], marker="o", markersize=4, color=color)
-        for k in _held(intents, found):
+        last = {int(intents.formation[k].max()): k for k in held_at(found, intents)}  # tick of each formation
+        for k in last.values():
             shape = found[k]
             assert shape is not None
             for axis, across in ((above, (0, 1)), (aside, (0, 2))):
@@ -35,7 +38,7 @@ def draw_formation(analysis: Analysis, experiment: str, path: Path) -> None:
             axis.set_xlabel("x [m]")
             axis.set_ylabel(name)
             axis.set_aspect("equal", adjustable="datalim")
-        above.set_title("from above: ● start, × desired")
+        above.set_title("from above: ● start, ┄ and × desired")
         aside.set_title("from the side")
         above.legend(fontsize=6, ncols=2)
         rms = np.array([np.nan if shape is None else shape.rms_m for shape in found])
@@ -46,10 +49,7 @@ def draw_formation(analysis: Analysis, experiment: str, path: Path) -> None:
         figure.savefig(path, dpi=120)
 
 
-def _held(intents: Intents, found: list[Shape | None]) -> list[int]:
-    """The last tick of each formation that all held."""
-    last: dict[int, int] = {}
-    for k, (phase, formation) in enumerate(zip(intents.phase, intents.formation, strict=True)):
-        if found[k] is not None and (phase[phase >= 0] == HOLDING).all():
-            last[int(formation.max())] = k
-    return list(last.values())
+def _desired(recording: Recording) -> Array:
+    """(K, N, 3) m in world: where each MAV was commanded to be, by its own odometry as that was then."""
+    frames = compose(recording.true_poses, inverse(pose_of(recording.vio)))
+    return np.asarray(frames[..., :3] + rotate_z(frames[..., 3], recording.wanted))

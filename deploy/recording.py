@@ -80,6 +80,7 @@ class Recording:
     truth: Array  # (K, N, 7) in world: x y z m, quaternion x y z w
     vio: Array  # (K, N, 7) in each MAV's odometry frame: the same, as its driver gave it
     odometry: Array  # (K, N, 4) in each MAV's odometry frame: x y z m, yaw rad, as it told its peers
+    wanted: Array  # (K, N, 3) m, in each MAV's odometry frame: the place that it was commanded to be at
     intents: Intents
     beliefs: Beliefs
     covariances: Array  # (K, N, N, 4, 4) of the estimates
@@ -134,6 +135,7 @@ class _Builder:
         self.truth = np.full((K, N, 7), np.nan)
         self.vio = np.full((K, N, 7), np.nan)
         self.odometry = np.full((K, N, 4), np.nan)
+        self.wanted = np.full((K, N, 3), np.nan)
         self.intents = Intents(*np.full((3, K, N), -1, np.int64))
         self.beliefs = Beliefs.none(K, N)
         self.covariances = np.full((K, N, N, 4, 4), np.nan)
@@ -155,7 +157,7 @@ class _Builder:
 
     def add(self, packet: Packet) -> None:
         topic, mav = topics.parse(packet.key)
-        if topic in (topics.SIGHTINGS, topics.COMMAND, topics.END):
+        if topic in (topics.SIGHTINGS, topics.END):
             return  # recorded, but no metric needs them
         message = messages.decode(topic.kind, packet.payload, self.epoch)
         if mav not in self.fleet.ids and topic is not topics.STATUS:
@@ -182,6 +184,8 @@ class _Builder:
                 if (said := message.intent) is not None:
                     for part, value in zip(self.intents, (said.phase, said.formation, said.place), strict=True):
                         part[k, i] = value
+            case messages.Setpoint():
+                self.wanted[k, i] = floats(message.position)
             case messages.Detections():
                 self.detections[k, mav] = read_spherical(message.spherical)
             case messages.Labels():
@@ -259,6 +263,7 @@ class _Builder:
             truth=self.truth[:K],
             vio=self.vio[:K],
             odometry=self.odometry[:K],
+            wanted=self.wanted[:K],
             intents=Intents(*(part[:K] for part in self.intents)),
             beliefs=self.beliefs.until(K),
             covariances=self.covariances[:K],

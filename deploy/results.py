@@ -37,7 +37,20 @@ def print_results(summary: dict[str, Any], folder: Path) -> None:
     for (state, reason), numbers in _not_localised(mavs).items():
         words = f"MAV {', '.join(numbers)}: {state} at the end" + (f" ({reason})" if reason else "")
         console.print(words, markup=False, soft_wrap=True)
+    if summary["flight"]["formations"]:
+        console.print(_flown(summary["flight"]), soft_wrap=True)
     console.print(f"{folder} (errors: {folder / 'errors.png'})", soft_wrap=True)
+
+
+def _flown(flight: dict[str, Any]) -> str:
+    legs = [
+        f"{leg['formation']} not reached"
+        if leg["at_s"] is None
+        else f"{leg['formation']} after {leg['at_s']:.1f} s, {leg['rms_m']:.3f} m RMS"
+        for leg in flight["formations"]
+    ]
+    touched = f"{flight['collisions'] or 'none'} touched"
+    return f"Formations: {'; '.join(legs)}. Nearest {_number(flight['nearest_m'], 2)} m, {touched}"
 
 
 def _not_localised(mavs: list[dict[str, Any]]) -> dict[tuple[str, str | None], list[str]]:

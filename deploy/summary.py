@@ -11,7 +11,7 @@ from agent.interface.messages import LOCALISED, STATES, floats
 from agent.interface.mission import Mission
 from deploy import commits, metrics
 from deploy.faults import Faults
-from deploy.formation import Shape, last_rms_m, shapes
+from deploy.formation import Reached, Shape, last_rms_m, reached, shapes
 from deploy.metrics import Errors, Mask, Score
 from deploy.pairs import Pairs, first_of_spell, late_starts, localised_since, pairs_of
 from deploy.recording import Beliefs, Recording
@@ -45,6 +45,7 @@ class Analysis(NamedTuple):
     since_s: Array  # (K, N, N) since when i has called j localised, in the present lives of both
     across: dict[str, Score]  # relative errors of pairs that a fault keeps apart; naive: dead reckoning from the cut
     shapes: list[Shape | None] | None  # (K) of the formations that were flown; None without a mission
+    legs: list[Reached]  # of the mission
 
 
 def analyse(recording: Recording, twin: Beliefs, faults: Faults = NONE, mission: Mission | None = None) -> Analysis:
@@ -70,6 +71,7 @@ def analyse(recording: Recording, twin: Beliefs, faults: Faults = NONE, mission:
         return localised_since(beliefs.states, recording.incarnations, time_s)
 
     always = np.full(recording.beliefs.states.shape[1:], -np.inf)
+    flown = None if mission is None else shapes(recording.truth[..., :3], recording.intents, mission)
     courses = {
         "ours": course(recording.beliefs.absolute, since(recording.beliefs)),
         "clairvoyant": course(twin.absolute, since(twin)),
@@ -82,7 +84,8 @@ def analyse(recording: Recording, twin: Beliefs, faults: Faults = NONE, mission:
         faults=faults,
         since_s=since(recording.beliefs),
         across=_across(recording, pairs, courses, true_relative),
-        shapes=None if mission is None else shapes(recording.truth[..., :3], recording.intents, mission),
+        shapes=flown,
+        legs=[] if mission is None or flown is None else reached(flown, recording.intents, mission, time_s),
     )
 
 
@@ -137,6 +140,7 @@ def summarise(analysis: Analysis, circumstances: Circumstances) -> dict[str, Any
             "nearest_m": metrics.nearest_m(recording.truth[..., :3]),
             "collisions": len(recording.touched),
             "formation_rms_m": None if analysis.shapes is None else last_rms_m(analysis.shapes, fleet.rate_hz),
+            "formations": [leg._asdict() for leg in analysis.legs],
         },
         "estimator_ms": _estimator_ms(recording),
         "network": _network(recording, sim_s),

@@ -4,7 +4,7 @@ It takes off straight up by its own odometry, to a height of its own: that tells
 formation by formation, it waits until everybody is localised, claims the place that its own assignment gives it, says
 when it will set out for it and how long it will take, and goes when everybody has: at the latest of these times, for
 the longest of these durations, so that straight ways do not meet. If the estimate moves the goal, it plans anew from
-where it is. Whoever loses the leader or a teammate stops, says so, and lands in the end.
+where it is. Whoever loses the leader or a teammate, or never knows them, stops, says so, and lands in the end.
 """
 
 import logging
@@ -13,10 +13,11 @@ import math
 import numpy as np
 from msgspec.structs import replace
 
+from agent.controller.detour import waypoints
 from agent.controller.separation import push
 from agent.controller.surroundings import Surroundings
 from agent.controller.team_plan import TeamPlan
-from agent.controller.trajectory import Limits, Sample, Trajectory, duration_within, minimum_snap
+from agent.controller.trajectory import Limits, Sample, Trajectory, duration_within, through
 from agent.interface.frames import Array
 from agent.interface.intent import (
     FORMING,
@@ -37,6 +38,7 @@ WAIT_S = 0.5  # before take-off: a MAV that finds the others flying is in the ai
 REPLAN_S = 1.0  # at least, for a way that is planned anew
 WIDER = 1.5  # times the limits are allowed to a way that is changed in mid-flight
 LANDING_M_S = 0.5
+NEVER_NS = 2**62
 FAR_DOWN_M = 20.0  # the way to a ground of which nothing is known
 
 log = logging.getLogger("agent")
@@ -91,7 +93,7 @@ class Pilot:
             self._team.forget()
             self.intent = Intent(HOLDING, leg + 1, NOWHERE, 0, 0.0)
             self._say(READY)
-        elif phase in (HOLDING, LOST):
+        elif phase in (READY, HOLDING, LOST):
             self._land(here)
         elif phase == LANDING:
             self._say(LANDED)
@@ -106,11 +108,14 @@ class Pilot:
         self._go_to(here, here.odometry[:3] + np.array([0.0, 0.0, height_m]), 0.0)
 
     def _set_out(self, here: Surroundings) -> None:
-        """As soon as all are ready."""
+        """As soon as all are ready. At first there may be nothing to lose yet, but it is not waited for without end."""
         if not self._team.is_known(here):
             if self.intent.formation > 0:
                 self._lose(here)
+            else:
+                self._until_ns = min(self._until_ns, here.stamp_ns + _ns(self._mission.land_after_s))
             return
+        self._until_ns = NEVER_NS
         self.intent, together = self._team.agree(here, self.intent, self._limits)
         if together is None:
             return
@@ -159,8 +164,9 @@ class Pilot:
         if duration_s == math.inf:
             begin = Sample.rest(begin.position)
             duration_s = duration_within(begin, goal, self._limits, max(least_s, 0.0))
-        self._plan = minimum_snap(np.stack([begin.position, goal]), np.array([0.0, duration_s]), begin)
-        self._goal, self._begun_ns, self._ends_ns = goal, now, now + _ns(duration_s)
+        points = waypoints(begin.position, goal, here.poses[here.localised & ~here.present, :3])
+        self._plan = through(points, duration_s, begin, self._limits)
+        self._goal, self._begun_ns, self._ends_ns = goal, now, now + _ns(self._plan.duration_s)
         self._until_ns = self._ends_ns
 
     def _sample(self, now_ns: int) -> Sample:
@@ -170,7 +176,7 @@ class Pilot:
     def _say(self, phase: int) -> None:
         log.info("%s (formation %d)", PHASES[phase], self.intent.formation + 1)
         if phase == READY:
-            self._until_ns = 2**62  # until all are ready
+            self._until_ns = NEVER_NS  # until all are ready
         self.intent = replace(self.intent, phase=phase)
 
 

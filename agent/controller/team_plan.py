@@ -5,13 +5,14 @@ from typing import NamedTuple
 import numpy as np
 from msgspec.structs import replace
 
-from agent.controller.assignment import assigned, claimed, kept
+from agent.controller.assignment import Mask, assigned, claimed, kept
 from agent.controller.surroundings import Surroundings
 from agent.controller.trajectory import Limits, Sample, duration_within
 from agent.interface.frames import Array, compose, inverse
 from agent.interface.intent import LANDING, LOST, NOWHERE, Intent
-from agent.interface.mission import Mission, places
+from agent.interface.mission import LEAST_APART_M, Mission, places
 
+FAR_M = 1e3  # added to the distance of a place that is blocked
 NOTICE_S = 1.0  # between claiming a place and setting out, for all to hear of it
 
 
@@ -53,10 +54,11 @@ class TeamPlan:
         claims = {mav: said.place for mav, said in same.items() if said.place != NOWHERE}
         team = sorted([self._mav, *others])
         at, stand = self._positions(here, team), self._places(here, formation)
-        to, own = assigned(at, stand), team.index(self._mav)
+        blocked = self._blocked(here, stand)
+        to, own = assigned(at, stand, blocked), team.index(self._mav)
         same_way = intent.formation == formation and intent.place != NOWHERE
-        wanted = intent.place if same_way and kept(at, stand, own, intent.place) else int(to[own])
-        place = claimed(wanted, np.linalg.norm(stand - at[own], axis=1), claims, self._mav)
+        wanted = intent.place if same_way and kept(at, stand, blocked, own, intent.place) else int(to[own])
+        place = claimed(wanted, np.linalg.norm(stand - at[own], axis=1) + FAR_M * blocked, claims, self._mav)
         if same_way and place == intent.place:
             claim = intent
         else:
@@ -77,6 +79,12 @@ class TeamPlan:
         """Whether it is there, in the air, and flies the same mission."""
         possible = said.formation < len(self._mission.legs) and (said.place < len(here.poses) or said.place == NOWHERE)
         return bool(here.present[mav - 1]) and said.phase < LANDING and possible
+
+    def _blocked(self, here: Surroundings, stand: Array) -> Mask:
+        """(N,) where somebody hangs who is gone: its MAV stays in the air without its agent."""
+        gone = np.flatnonzero(here.localised & ~here.present) + 1
+        apart = np.linalg.norm(stand[:, None] - self._positions(here, gone.tolist())[None], axis=-1)
+        return np.asarray((apart < LEAST_APART_M).any(axis=1))
 
     def _positions(self, here: Surroundings, mavs: list[int]) -> Array:
         """(n, 3) m of these, in the leader's odometry frame."""

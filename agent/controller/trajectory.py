@@ -103,6 +103,28 @@ def minimum_snap(waypoints: Array, times_s: Array, begin: Sample | None = None) 
     return Trajectory(times_s, _HERMITE @ (units[:, :, None] * ends))
 
 
+def through(waypoints: Array, least_s: float, begin: Sample, limits: Limits) -> Trajectory:
+    """The trajectory through these (W, 3) waypoints, m, that keeps the limits; each leg takes its share of the time.
+
+    It takes `least_s`, which does for the straight way, or longer where there are waypoints between; up to four times,
+    after which limits are not looked at any more.
+    """
+    legs = np.linalg.norm(np.diff(waypoints, axis=0), axis=1)
+    shares = np.concatenate([[0.0], np.cumsum(legs) / legs.sum()]) if len(legs) > 1 else np.array([0.0, 1.0])
+    duration_s = least_s
+    while True:
+        planned = minimum_snap(waypoints, duration_s * shares, begin)
+        if len(legs) == 1 or duration_s > 4 * least_s or _keeps(planned, limits):
+            return planned
+        duration_s = _steps(1.1 * duration_s) / STEPS_PER_S
+
+
+def _keeps(planned: Trajectory, limits: Limits) -> bool:
+    samples = [planned.at(time_s) for time_s in np.linspace(0, planned.duration_s, SAMPLES)]
+    speed, acceleration = (max(np.linalg.norm(each[n]) for each in samples) for n in (1, 2))
+    return bool(speed <= limits.speed_m_s and acceleration <= limits.acceleration_m_s2)
+
+
 def duration_within(begin: Sample, goal: Array, limits: Limits, least_s: float = 0.0) -> float:
     """The shortest duration, s, in which the trajectory from here to rest at this (3,) goal, m, keeps the limits.
 

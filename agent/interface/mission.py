@@ -38,7 +38,7 @@ class Mission(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     speed_m_s: float = 1.0  # at most
     acceleration_m_s2: float = 1.0  # at most
     replan_beyond_m: float = 0.05  # by which the estimate must move the goal to be planned for anew; inf: planned once
-    land_after_s: float = 10.0  # for which the leader or a teammate is lost
+    land_after_s: float = 10.0  # for which the leader or a teammate is not localised
 
     def __post_init__(self) -> None:
         for name, value, least, most, unit in (

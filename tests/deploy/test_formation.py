@@ -47,3 +47,20 @@ def test_the_last_seconds_are_judged_if_a_formation_is_held_in_all_of_them():
     near, far = formation.Shape(np.zeros((1, 3)), 0.1), formation.Shape(np.zeros((1, 3)), 7.0)
     assert formation.last_rms_m([far] * 9 + [near] * 10, rate_hz=2.0) == pytest.approx(0.1)
     assert np.isnan(formation.last_rms_m([far] * 9 + [near] * 9 + [None], rate_hz=2.0))
+
+
+def test_a_leg_is_reached_when_all_are_in_formation_and_until_one_leaves():
+    line, circle = (places(leg, 3) for leg in MISSION.legs)
+    positions = np.stack([line] * 4 + [circle] * 2)
+    positions[2, 1, 2] += 0.3
+    phase = np.array(
+        [[FORMING] * 3, [HOLDING, HOLDING, FORMING], [HOLDING] * 3, [HOLDING] * 3, [FORMING] * 3, [FORMING] * 3]
+    )
+    which, place = np.array([[0] * 3] * 4 + [[1] * 3] * 2), np.array([[0, 1, 2]] * 6)
+    intents = Intents(phase, which, place)
+    found = formation.shapes(positions, intents, MISSION)
+    first, second = formation.reached(found, intents, MISSION, np.arange(6) / 2)
+    assert (first.formation, first.at_s) == ("line", 1.0)
+    assert first.rms_m == pytest.approx(0.1)  # one of three, in one of two ticks: sqrt(0.3^2 * 2 / 9 / 2)
+    assert second.formation == "circle"
+    assert np.isnan([second.at_s, second.rms_m]).all()

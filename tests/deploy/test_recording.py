@@ -29,7 +29,7 @@ def assembled(flown: Flown, packets: list[Packet]) -> Recording:
 def test_everything_is_there(recording: Recording, packets: list[Packet]) -> None:
     assert (recording.ticks, recording.time_s[-1]) == (TICKS, (TICKS - 1) / 10)
     assert recording.rejected == {}
-    for name in ("truth", "vio", "odometry", "covariances", "innovations", "tick_us"):
+    for name in ("truth", "vio", "odometry", "wanted", "covariances", "innovations", "tick_us"):
         assert np.isfinite(getattr(recording, name)).all(), name
     assert np.isfinite(recording.beliefs.estimates).all()
     assert (recording.beliefs.states <= messages.LOCALISED).all()

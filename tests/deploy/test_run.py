@@ -51,7 +51,7 @@ def test_the_folder_and_the_summary_are_as_the_contract_says(flown: Flown) -> No
     assert summary["registration"].keys() == {
         "commit_nees", "position_1s_m", "yaw_1s_rad", "position_1s_p95_m", "yaw_1s_p95_rad",
     }  # fmt: skip
-    assert summary["flight"].keys() == {"nearest_m", "collisions", "formation_rms_m"}
+    assert summary["flight"].keys() == {"nearest_m", "collisions", "formation_rms_m", "formations"}
     assert summary["mavs"][0].keys() == {
         "id", "state", "reason", "hypotheses", "localised_at_s", "wrong_commits", "restarts",
     }  # fmt: skip

@@ -65,7 +65,12 @@ def test_how_near_they_came_and_how_many_touched(recording: Recording) -> None:
     truth = recording.truth.copy()
     truth[7, 2, :3] = truth[7, 0, :3] + [0.3, 0.0, 0.4]
     bumped = dataclasses.replace(recording, truth=truth, touched={(1, 3), (2, 3)})
-    assert summarised(bumped)["flight"] == {"nearest_m": pytest.approx(0.5), "collisions": 2, "formation_rms_m": None}
+    assert summarised(bumped)["flight"] == {
+        "nearest_m": pytest.approx(0.5),
+        "collisions": 2,
+        "formation_rms_m": None,
+        "formations": [],
+    }
     assert summarised(recording)["flight"]["nearest_m"] > 0.6
     assert summarised(recording)["flight"]["collisions"] == 0
 

@@ -8,6 +8,7 @@ import pytest
 from agent.controller.assignment import assigned, claimed, kept
 
 RADIUS_M = 0.325
+NONE = np.zeros(7, bool)  # blocked
 
 
 def apart(rng, n, least):
@@ -23,14 +24,14 @@ def test_no_other_assignment_has_a_smaller_sum_of_squares(seed):
     positions, places = rng.uniform(-3, 3, (4, 3)), rng.uniform(-3, 3, (5, 3))
     squared = ((positions[:, None] - places) ** 2).sum(-1)
     least = min(squared[range(4), order].sum() for order in permutations(range(5), 4))
-    assert squared[range(4), assigned(positions, places)].sum() == pytest.approx(least, abs=1e-2)
+    assert squared[range(4), assigned(positions, places, NONE[: len(places)])].sum() == pytest.approx(least, abs=1e-2)
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_straight_ways_of_equal_duration_keep_their_distance(seed):
     rng = np.random.default_rng(seed)
     start, goal = (apart(rng, 7, 2 * np.sqrt(2) * RADIUS_M) for _ in range(2))
-    goal = goal[assigned(start, goal)]
+    goal = goal[assigned(start, goal, NONE[:7])]
     for share in np.linspace(0, 1, 101):
         now = start + share * (goal - start)
         assert (np.linalg.norm(now[:, None] - now, axis=-1) + np.eye(7) * 9).min() > 2 * RADIUS_M - 0.01
@@ -40,7 +41,7 @@ def test_equals_go_by_number_whatever_the_noise():
     positions = np.array([[0.0, 1, 0], [0, -1, 0]])
     places = np.array([[1.0, 0, 0], [-1, 0, 0]])
     for noise in np.random.default_rng(0).normal(0, 1e-5, (10, 2, 3)):
-        assert assigned(positions + noise, places).tolist() == [0, 1]
+        assert assigned(positions + noise, places, NONE[:2]).tolist() == [0, 1]
 
 
 def test_a_place_that_a_lower_number_claims_is_left_to_it():
@@ -60,7 +61,7 @@ def test_two_estimates_come_to_terms():
         for _ in range(5):
             claims = {
                 mav: claimed(
-                    int(assigned(estimates[mav - 1], places)[mav - 1]),
+                    int(assigned(estimates[mav - 1], places, NONE[:5])[mav - 1]),
                     np.linalg.norm(places - positions[mav - 1], axis=1),
                     {other: place for other, place in claims.items() if other != mav},
                     mav,
@@ -72,4 +73,11 @@ def test_two_estimates_come_to_terms():
 
 def test_a_claim_is_kept_unless_another_is_much_better():
     positions, places = np.array([[0.0, 0, 0], [1, 0, 0]]), np.array([[0.5, 0, 0], [0.52, 0, 0], [3, 0, 0]])
-    assert [kept(positions, places, 0, place) for place in range(3)] == [True, True, False]
+    assert [kept(positions, places, NONE[:3], 0, place) for place in range(3)] == [True, True, False]
+
+
+def test_a_blocked_place_is_taken_only_if_there_are_too_few_others():
+    positions, places = np.array([[0.0, 0, 0], [4, 0, 0]]), np.array([[0.0, 0, 0], [1.5, 0, 0], [4, 0, 0]])
+    assert assigned(positions, places, np.array([True, False, False])).tolist() == [1, 2]
+    assert assigned(positions, places, np.array([True, False, True])).tolist() in ([0, 1], [1, 2])
+    assert not kept(positions, places, np.array([True, False, False]), 0, 0)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from agent.controller.pilot import Pilot
 from agent.controller.surroundings import Surroundings
@@ -124,13 +125,31 @@ def test_formation_follows_formation():
 
 
 def test_who_is_not_localised_keeps_all_waiting():
-    team = Team(Mission((LONG,)))
+    team = Team(Mission((LONG,), land_after_s=60.0))
     team.unknown = {4}
     team.fly(150)
     assert {pilot.intent.phase for pilot in team.pilots.values()} == {READY}
     team.unknown = set()
     team.fly(120)
     assert {pilot.intent.phase for pilot in team.pilots.values()} == {HOLDING}
+
+
+def test_who_is_never_localised_is_not_waited_for_without_end():
+    team = Team(Mission((LONG,), land_after_s=8.0))
+    team.unknown = {4}
+    team.fly(250)
+    assert {pilot.intent.phase for pilot in team.pilots.values()} == {LANDED}
+
+
+def test_nobody_is_sent_where_one_hangs_that_is_gone():
+    team = Team(Mission((LINE, replace(LINE, length_m=8.0), replace(LONG, hold_s=60.0))), 3)
+    while team.pilots[2].intent.phase != HOLDING:
+        team.fly(1)
+    team.gone = {2}
+    team.fly(300)
+    flying = (1, 3, 4, 5)
+    assert {(team.pilots[mav].intent.phase, team.pilots[mav].intent.formation) for mav in flying} == {(HOLDING, 2)}
+    assert team.nearest_m() > 0.65
 
 
 def test_a_teammate_that_is_gone_is_not_waited_for():
