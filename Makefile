@@ -4,7 +4,7 @@ BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: run test check bench decidable starts networks fuzz schedules soak lock clean
+.PHONY: run test check bench decidable starts networks formations fuzz schedules soak lock clean
 .DEFAULT_GOAL := help
 
 help:
@@ -15,6 +15,7 @@ help:
 	@echo "make decidable  measure which starts can be decided (deploy/pictures/decidable.png)"
 	@echo "make starts  the table of starts, 200 seeds a row, hours (runs/starts; SEEDS=0:20 ROWS='box_7 line' for less)"
 	@echo "make networks  the table of faults, ten seeds a row, half an hour (runs/networks.md; SEEDS=0:2)"
+	@echo "make formations  the table of flights on board, half an hour (runs/formations; SEEDS=0:2 ROWS=line)"
 	@echo "make fuzz   100,000 hostile messages to one agent (runs/fuzz.json)"
 	@echo "make schedules  a thousand random fault schedules (runs/schedules.json; SEEDS=0:100 for some)"
 	@echo "make soak   ten minutes of random kills and stops (runs/soak.json; SECONDS=60 for a short one)"
@@ -47,6 +48,9 @@ starts: .venv/ready-to-test
 
 networks: .venv/ready-to-test
 	$(BIN)/python -m tests.bench.networks $(or $(SEEDS),0:10)
+
+formations: .venv/ready-to-test
+	$(BIN)/python -m tests.bench.formations "$(SEEDS)" $(ROWS)
 
 schedules: .venv/ready-to-test
 	$(BIN)/python -m tests.bench.schedules $(or $(SEEDS),0:1000)
