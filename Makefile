@@ -11,7 +11,7 @@ help:
 	@echo "make run    fly the paper's first experiment with seven MAVs"
 	@echo "make test   run the tests"
 	@echo "make check  import contracts, formatting, types and tests"
-	@echo "make bench  time one station update against the plain one, N = 3..9 (runs/bench.json)"
+	@echo "make bench  time one station update against the plain one, N = 3..9, and a plan (runs/bench.json, runs/planning.json)"
 	@echo "make decidable  measure which starts can be decided (deploy/pictures/decidable.png)"
 	@echo "make starts  the table of starts, 200 seeds a row, hours (runs/starts; SEEDS=0:20 ROWS='box_7 line' for less)"
 	@echo "make networks  the table of faults, ten seeds a row, half an hour (runs/networks.md; SEEDS=0:2)"
@@ -36,6 +36,7 @@ check: .venv/ready-to-test
 
 bench: .venv/ready-to-test
 	$(BIN)/python -m tests.bench.station_update
+	$(BIN)/python -m tests.bench.planning
 
 decidable: .venv/ready-to-test
 	$(BIN)/python -m tests.bench.decidable
