@@ -70,6 +70,16 @@ def _parser() -> argparse.ArgumentParser:
     score.add_argument("folder", type=Path, metavar="DIR", help="a run folder")
     score.set_defaults(do=_score)
 
+    report = commands.add_parser("report", help="a page about runs and studies, side by side")
+    report.add_argument("folders", type=Path, nargs="+", metavar="DIR", help="run and study folders")
+    report.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="the page (default: report.html in DIR, of several in runs/report-TIME)",
+    )
+    report.set_defaults(do=_report)
+
     commands.add_parser("list", help="the bundled experiments")
 
     helps = {"agent": "one MAV", "world": "the world", "recorder": "the recorder, until Ctrl-C; then scores"}
@@ -162,6 +172,26 @@ def _score(chosen: argparse.Namespace) -> int:
     from deploy.run import score
 
     results.print_results(score(chosen.folder), chosen.folder)
+    return FINE
+
+
+def _report(chosen: argparse.Namespace) -> int:
+    from agent.interface.tables import BadExperiment
+    from deploy.page import build
+    from deploy.run import folder_for
+
+    if len(set(map(Path.resolve, chosen.folders))) < len(chosen.folders):
+        raise BadExperiment("a folder is given more than once")
+    page = build.build(chosen.folders, lambda words: print(words, file=sys.stderr, flush=True))
+    if chosen.out is not None:
+        file = chosen.out
+    else:
+        file = (chosen.folders[0] if len(chosen.folders) == 1 else folder_for("report", None)) / build.PAGE
+    try:
+        file.write_text(page)
+    except OSError as error:
+        raise BadExperiment(f"{file}: cannot be written: {error.strerror}") from None
+    print(file)
     return FINE
 
 

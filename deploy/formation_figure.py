@@ -1,6 +1,7 @@
 """What did the team fly? Its paths from above and from the side, and how near it came to its formations."""
 
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from matplotlib import colormaps, rc_context
@@ -13,7 +14,7 @@ from deploy.report import SMALL
 from deploy.summary import Analysis
 
 
-def draw_formation(analysis: Analysis, experiment: str, path: Path) -> None:
+def draw_formation(analysis: Analysis, experiment: str, file: Path | BinaryIO) -> None:
     """From above, from the side, and the distance to the desired relative positions over time."""
     recording, found = analysis.recording, analysis.shapes or []
     desired = _desired(recording)
@@ -46,7 +47,7 @@ def draw_formation(analysis: Analysis, experiment: str, path: Path) -> None:
         course.set_xlabel("simulated time [s]")
         course.set_title("RMS distance to the desired relative positions [m]")
         figure.suptitle(experiment)
-        figure.savefig(path, dpi=120)
+        figure.savefig(file, dpi=120, format="png")
 
 
 def _desired(recording: Recording) -> Array:

@@ -85,6 +85,7 @@ class Recording:
     beliefs: Beliefs
     covariances: Array  # (K, N, N, 4, 4) of the estimates
     innovations: Array  # (K, N, 2) how many detections were associated, how many of them inside their 95 % gate
+    neighbours: npt.NDArray[np.uint8]  # (K, N, N) index into messages.NEIGHBOURS: whether i finds j there
     tick_us: Array  # (K, N) what the tick cost agent i, wall time
     station_us: list[tuple[int, ...]]  # what the station updates of each recorded agent's tick cost
     detections: dict[tuple[int, int], Array]  # (tick, MAV number) -> (M, 3) range m, azimuth rad, elevation rad
@@ -140,6 +141,7 @@ class _Builder:
         self.beliefs = Beliefs.none(K, N)
         self.covariances = np.full((K, N, N, 4, 4), np.nan)
         self.innovations = np.full((K, N, 2), np.nan)
+        self.neighbours = np.zeros((K, N, N), np.uint8)
         self.tick_us = np.full((K, N), np.nan)
         self.station_us: list[tuple[int, ...]] = []
         self.detections: dict[tuple[int, int], Array] = {}
@@ -232,7 +234,10 @@ class _Builder:
         if before is None or (status.stamp_ns, status.seq) > (before.stamp_ns, before.seq):
             self.statuses[status.sender] = status
         if status.sender in self.fleet.ids and not status.final:
-            self.tick_us[self._tick(status.stamp_ns), status.sender - 1] = status.tick_us
+            at = self._tick(status.stamp_ns), status.sender - 1
+            self.tick_us[at] = status.tick_us
+            if len(status.neighbours) == self.fleet.mavs:
+                self.neighbours[at] = np.frombuffer(status.neighbours, np.uint8)
             if status.station_us:
                 self.station_us.append(status.station_us)
 
@@ -268,6 +273,7 @@ class _Builder:
             beliefs=self.beliefs.until(K),
             covariances=self.covariances[:K],
             innovations=self.innovations[:K],
+            neighbours=self.neighbours[:K],
             tick_us=self.tick_us[:K],
             station_us=self.station_us,
             detections=self.detections,

@@ -2,7 +2,7 @@
 
 import textwrap
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from matplotlib import rc_context
@@ -29,7 +29,7 @@ MARKERS = {"naive": "s", "clairvoyant": "^", "ours": "o"}
 SMALL: Any = {"font.size": 8, "axes.titlesize": 9, "legend.fontsize": 8, "axes.grid": True, "grid.alpha": 0.3}
 
 
-def draw_errors(analysis: Analysis, experiment: str, path: Path) -> None:
+def draw_errors(analysis: Analysis, experiment: str, file: Path | BinaryIO) -> None:
     """Relative and absolute error over time: RMSE in m and deg, and the paper's squared sums."""
     recording = analysis.recording
     courses = {"ours": analysis.ours, "clairvoyant": analysis.clairvoyant, "naive": analysis.naive}
@@ -73,7 +73,7 @@ def draw_errors(analysis: Analysis, experiment: str, path: Path) -> None:
         figure.suptitle(
             f"{experiment}, seed {fleet.seed}: {fleet.mavs} MAVs, {fleet.rate_hz:g} Hz", x=0.01, ha="left", fontsize=10
         )
-        figure.savefig(path, dpi=150)
+        figure.savefig(file, dpi=150, format="png")
 
 
 def _faults(axes: Any, analysis: Analysis) -> list[str]:
@@ -119,10 +119,10 @@ def _axis(axis: Axes, title: str, label: str, log: bool) -> None:
     if not log:
         axis.set_ylim(bottom=0)
     elif any((np.asarray(line.get_ydata()) > 0).any() for line in axis.lines):
-        _logarithmic(axis)
+        logarithmic(axis)
 
 
-def _logarithmic(axis: Axes) -> None:
+def logarithmic(axis: Axes) -> None:
     """With plain numbers, and with some between the powers of ten where there are few of those."""
     axis.set_yscale("log")
     low, high = axis.get_ylim()
@@ -150,7 +150,7 @@ def draw_study(study: dict[str, Any], path: Path) -> None:
         ):
             _cells(error, cells, key, shift, name)
         error.set_ylabel("relative RMSE [m]")
-        _logarithmic(error)
+        logarithmic(error)
         error.legend(loc="upper left", bbox_to_anchor=(1, 1), frameon=False)
         _cells(consistency, cells, "anees", 0.0, "ours")
         for x, cell in enumerate(cells):

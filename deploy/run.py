@@ -5,7 +5,7 @@ import signal
 import tempfile
 import traceback
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 
@@ -21,6 +21,9 @@ from deploy.process_faults import Director
 from deploy.progress import Progress, Watch
 from deploy.supervisor import Outcome
 from deploy.terminal import Display
+
+if TYPE_CHECKING:  # slow to import: a mistake in the words is answered at once
+    from deploy.summary import Analysis, Circumstances
 
 PROGRESS_S = 0.5
 EPOCHS = range(2**30, 2**31)  # the messages of all runs are of the same length, which a bandwidth limit is about
@@ -78,17 +81,25 @@ def run(
         return Result(outcome, None)
 
 
-def score(folder: Path) -> dict[str, Any]:
-    """Everything that a run folder tells, from its log.mcap alone: summary.json, errors.png and the trajectories.
+class Scored(NamedTuple):
+    """A run, as its log tells it."""
+
+    analysis: "Analysis"
+    circumstances: "Circumstances"
+    experiment: Experiment
+    resolved: str  # the experiment's text, with what it was made from and with
+
+
+def scored(folder: Path) -> Scored:
+    """Everything that a run folder tells, from its log.mcap alone.
 
     Raises:
         BadLog: there is no log.
         BadExperiment: the experiment in it is not one for this version of the programs.
         NothingRecorded: no tick of the run is in it.
     """
-    from deploy import formation, report, summary, tum
+    from deploy import formation, summary
     from deploy.clairvoyant import replay
-    from deploy.formation_figure import draw_formation
     from deploy.recording import assemble
 
     log = read_log(folder / "log.mcap")
@@ -99,9 +110,22 @@ def score(folder: Path) -> dict[str, Any]:
     twin = replay(recording, experiment.agent)
     analysis = summary.analyse(recording, twin, experiment.faults, formation.mission_of(experiment.agent))
     circumstances = summary.Circumstances(experiment.name, log.origin.transport, log.wall_s)
+    return Scored(analysis, circumstances, experiment, log.origin.experiment)
+
+
+def score(folder: Path) -> dict[str, Any]:
+    """Writes summary.json, the figures and the trajectories into a run folder; returns what is in summary.json.
+
+    Raises:
+        BadLog, BadExperiment, NothingRecorded: as `scored` does.
+    """
+    from deploy import report, summary, tum
+    from deploy.formation_figure import draw_formation
+
+    analysis, circumstances, experiment, _ = scored(folder)
     content = summary.summarise(analysis, circumstances)
     (folder / "summary.json").write_text(summary.to_json(content))
-    tum.export(recording, folder)
+    tum.export(analysis.recording, folder)
     report.draw_errors(analysis, experiment.name, folder / "errors.png")
     if analysis.shapes is not None:
         draw_formation(analysis, experiment.name, folder / "formation.png")
