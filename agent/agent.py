@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("agent")
 
 BEHIND = 3  # real time: ticks that may wait; one that was stopped, or is too slow, goes on from the newest
+UNHURRIED = 0.05  # real time: share of the period after which a tick that begins is late
 SENSOR_POLL_S = 0.002  # real time: between looks for its own sensors
 
 _UPPER = np.ravel_multi_index(np.triu_indices(4), (4, 4))  # of a flattened covariance
@@ -66,6 +67,7 @@ class Agent:
         self._presence: Presence | None = None
         self._stations = [mav, *(other for other in fleet.ids if other != mav)]  # itself first
         self._own, self._behind = OwnSensors(), BEHIND if fleet.realtime else math.inf
+        self._unhurried_s = UNHURRIED / fleet.rate_hz if fleet.realtime else math.inf
         self._hold_after_s, self._holding = max(at_least_s, config.hold_after_s), False
         self._sensed_s = clock.now_s()  # when its own sensors last began a tick
         self._newest_ns = 0  # the stamp of that
@@ -206,7 +208,8 @@ class Agent:
             for station in self._stations
             if station in tick.detections and station in tick.odometry
         ]
-        beliefs, situation = self._localiser.tick(number, tick.odometry, sets)
+        hurried = clock.now_s() - self._sensed_s > self._unhurried_s
+        beliefs, situation = self._localiser.tick(number, tick.odometry, sets, hurried)
         tick_us = clock.now_us() - began_us
         self._publish_registration(stamp_ns, situation)
         self._publish_estimate(stamp_ns, beliefs)

@@ -65,13 +65,14 @@ class Localiser:
         self._history.forget_odometry(mav, tick)
         self._anew.add(mav)
 
-    def tick(self, tick: int, odometry: dict[int, Array], sets: list[DetectionSet]) -> Localised:
+    def tick(self, tick: int, odometry: dict[int, Array], sets: list[DetectionSet], hurried: bool = False) -> Localised:
         """Takes in what was heard of a tick; its own odometry reading must be there.
 
         Args:
             tick: counted from the epoch.
             odometry: by MAV, (4,) x y z m, yaw rad in its odometry frame.
             sets: own first, then by number.
+            hurried: the tick is late: what can wait is to wait.
         """
         self._history.hear(tick, odometry, sets)
         anew = sorted({*self._history.begun_anew(), *self._anew})
@@ -91,7 +92,7 @@ class Localiser:
                 self._dismiss([self._ids[index] for index in wrong], [])
                 return self._localised()
         team = self._team(self._registrar.newest)
-        commit = None if team is None else self._registrar.work_on(team)
+        commit = None if team is None else self._registrar.work_on(team, hurried)
         if commit is not None:
             self._admit(commit)
         return self._localised()

@@ -27,6 +27,7 @@ from agent.registration.window import Frame, Window
 PROPOSAL_FRAMES = 8
 WIDER = 3  # times as many placements are looked at, where many fit
 LEAST_SLICES = 2  # a tick, however little work it may do: a replay has to gain on the time that goes by
+HURRIED = 3  # times less work in a tick that is late
 TOGETHER = 8  # hypotheses that are replayed at once
 HASTY_ROUND_TICKS = 3  # between rounds of proposals while some MAV has no place that fits
 ROUND_TICKS, LONGER = 20, 4  # between rounds that change nothing, at first; later at most so many times as long
@@ -133,9 +134,13 @@ class Registrar:
         """The newest tick that is taken in; -1 if none is."""
         return self._done
 
-    def work_on(self, team: Team) -> Commit | None:
+    def work_on(self, team: Team, hurried: bool = False) -> Commit | None:
         """Does this tick's share of the work for those not in the team, given as it was at the newest tick that is
-        taken in; returns whom to call localised then."""
+        taken in; returns whom to call localised then.
+
+        Args:
+            hurried: it is late already: less, and where challenges have decided nothing the least that leads on.
+        """
         self._team = team
         if team.placed.all():
             self._restart()
@@ -143,6 +148,8 @@ class Registrar:
         self._drop_those_against(team)
         # Where challenges have decided nothing, there is no hurry.
         spent, slices, budget = 0.0, 0, self._budget / max(self._fruitless, 1)
+        if hurried:
+            budget = 0.0 if self._fruitless else budget / HURRIED
         while spent < budget or slices < LEAST_SLICES:
             slices += 1
             self._job = self._job or self._next_job()

@@ -5,8 +5,8 @@ import pytest
 
 from agent.agent import Agent
 from agent.config import AgentConfig
+from agent.interface import clock, topics
 from agent.interface import messages as m
-from agent.interface import topics
 from agent.interface.bus import MemoryBus
 from agent.interface.fleet import Fleet
 from agent.interface.frames import compose, relative_pose
@@ -301,6 +301,21 @@ def test_the_last_status_accounts_for_every_message():
         assert final.final
         assert final.sent == len(mine)
         assert final.sent_bytes == sum(len(p.payload) for p in mine[:-1])
+
+
+@pytest.mark.parametrize(("waited_s", "hurried"), [(0.001, False), (0.05, True)])
+def test_in_real_time_a_tick_that_begins_late_is_hurried(monkeypatch, waited_s, hurried):
+    now_s, asked = [100.0], []
+    monkeypatch.setattr(clock, "now_s", lambda: now_s[0])
+    rig = Rig(realtime=True, mavs=2, config=IMPATIENT)
+    (agent, _), tick = rig.agents, rig.agents[0]._localiser.tick
+    monkeypatch.setattr(agent._localiser, "tick", lambda *those: asked.append(those[3]) or tick(*those))
+    rig.sensors()
+    agent.advance()  # it waits for its peer
+    assert asked == []
+    now_s[0] += waited_s
+    agent.advance()
+    assert asked == [hurried]
 
 
 def test_in_lockstep_it_waits_for_its_peers_and_in_real_time_it_does_not():

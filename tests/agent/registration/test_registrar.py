@@ -19,7 +19,8 @@ from tests.agent.registration.beginning import alone, box, heard, hovering, true
 class Station:
     """Believes what is committed, and goes on by odometry."""
 
-    def __init__(self, mavs, station=1, work=None):
+    def __init__(self, mavs, station=1, work=None, hurried=False):
+        self.hurried = hurried
         config = AgentConfig() if work is None else AgentConfig(registration=Registration(work_per_mav=work))
         self.mavs, self.station, self.registrar = mavs, station, Registrar(config, mavs, 10.0)
         self.team, self.since, self.readings = None, 0, {}  # as it was at that tick; by tick and index
@@ -36,7 +37,8 @@ class Station:
             self.team, self.since = alone(odometry[0], self.mavs), k
         self.registrar.advance(self.team.placed)
         newest = self.registrar.newest
-        commit = self.registrar.work_on(self.team if newest < self.since else self.team_at(newest))
+        team = self.team if newest < self.since else self.team_at(newest)
+        commit = self.registrar.work_on(team, self.hurried)
         if commit is not None:
             self.commits.append((commit.tick, commit, k))
             placed = self.team.placed | np.isin(np.arange(self.mavs), commit.mavs)
@@ -54,9 +56,11 @@ class Station:
         return Team(y, self.team.P, self.team.placed)
 
 
-def registered(ticks, station=1, work=None, lost=lambda k, i: False, unread=lambda k, i: False, delay=0, first=0):
+def registered(
+    ticks, station=1, work=None, lost=lambda k, i: False, unread=lambda k, i: False, delay=0, first=0, hurried=False
+):
     """A station that has heard these ticks; the others' sets may be lost or late, their odometry unread."""
-    own = Station(len(ticks[0].truth), station, work)
+    own = Station(len(ticks[0].truth), station, work, hurried)
     for k, tick in enumerate(ticks):
         odometry, sets = heard(tick, station)
         odometry = {i: z for i, z in odometry.items() if i == 0 or not unread(k, i)}
@@ -154,6 +158,13 @@ def test_a_third_of_the_work_only_makes_it_later(seed):
     assert later.team.placed.all()
     assert rightly(later, ticks)
     assert soon.commits[-1][0] < later.commits[-1][0]
+
+
+def test_one_that_is_always_late_takes_longer_but_not_for_ever():
+    ticks = hovering(4, 7, 40)
+    soon, later = registered(ticks), registered(ticks, hurried=True)
+    assert rightly(later, ticks)
+    assert later.commits[-1][2] > soon.commits[-1][2]
 
 
 def test_a_tenth_of_the_work_only_makes_it_later():
