@@ -183,6 +183,7 @@ class Agent:
         about_to = () if self._pilot is None else (self._pilot.intent,)
         self._publish(topics.ODOMETRY, messages.Odometry, stamp_ns, levelled.pose.tobytes(), *about_to)
         self._publish(topics.DETECTIONS, messages.Detections, stamp_ns, block)
+        self._neighbours.go_on_at(stamp_ns)
         # Its own data as its peers receive it, so that all agents estimate from the same numbers.
         self._neighbours.put(stamp_ns, self._mav, odometry=levelled.pose, detections=messages.read_spherical(block))
         self._open_ns = stamp_ns

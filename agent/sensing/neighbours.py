@@ -98,13 +98,21 @@ class Neighbours:
         kept = self._ticks.get(tick)
         return kept is not None and len(kept.odometry) == self._mavs == len(kept.detections)
 
+    def go_on_at(self, stamp_ns: int) -> None:
+        """What is before this time is over: the own sensors say how late it is, however far ahead that is."""
+        if self._now is not None:
+            self._over(max(self._now, self.tick_of(stamp_ns) - 1))
+
     def take(self, tick: int) -> Tick:
         """What there is for this tick; it and all before it are over."""
+        self._over(tick)
+        return self._ticks.setdefault(tick, Tick())
+
+    def _over(self, tick: int) -> None:
         self._now = tick
         for number in sorted(each for each in self._ticks if each <= tick):
             self._heard_of(number, self._ticks[number])
         self._ticks = {number: kept for number, kept in self._ticks.items() if number > tick - self._lag}
-        return self._ticks.setdefault(tick, Tick())
 
     def intents(self) -> dict[int, Intent]:
         """By MAV: what each was last about to do, as far as ticks are over."""
