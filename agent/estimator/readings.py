@@ -25,6 +25,7 @@ class Readings:
         """This tick is the newest; so many later than the one before."""
         new = np.full((min(by, len(self._z)), *self._z.shape[1:]), np.nan)
         self._z, self._now = np.concatenate([self._z[len(new) :], new]), tick
+        self._news = [(then, mav) for then, mav in self._news if then >= tick - self._lag]  # what is kept
 
     def belongs(self, tick: int, mav: int) -> bool:
         """Whether what this MAV said then is of the odometry that it has now."""

@@ -204,6 +204,24 @@ def test_ticks_without_its_own_data_are_bridged(missed):
     assert (history.beliefs().states == LOCALISED).all()
 
 
+@pytest.mark.parametrize("missed", [5, LAG, 3 * LAG, 300])
+def test_what_came_late_before_a_gap_is_of_no_use_after_it(missed):
+    """A process is stopped after it has heard something late, and before it has estimated that."""
+    ticks = flown(10, ticks=45 + missed)
+    history, deaf = surveyed(ticks), surveyed(ticks)
+    for k in (*range(40), *range(40 + missed, len(ticks))):
+        for one in (history, deaf):
+            if one is history and k == 40 + missed:
+                assert one.late(35, 1, odometry=ticks[35].odometry[1])
+            heard = {mav: z for mav, z in ticks[k].odometry.items() if k >= 40 or k < 34 or mav != 1}
+            one.hear(k, heard, [links.untold(ticks[k], mav) for mav in (2, 1, 3, 4) if mav in heard])
+            assert one.begun_anew() == []
+            one.estimate()
+    assert np.linalg.eigvalsh(history.beliefs().covariances[0]).min() > 0
+    if missed > LAG:
+        same(history.beliefs(), deaf.beliefs())
+
+
 def test_after_a_gap_without_end_it_begins_anew():
     ticks = flown(10)
     history = surveyed(ticks)
