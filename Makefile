@@ -4,12 +4,13 @@ BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: run test check bench decidable starts networks formations fuzz schedules soak lock clean
+.PHONY: run test viz check bench decidable starts networks formations fuzz schedules soak lock clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make run    fly the paper's first experiment with seven MAVs"
 	@echo "make test   run the tests"
+	@echo "make viz    install the 3-D viewer, for swarm view and swarm run --view (0.8 GB)"
 	@echo "make check  import contracts, formatting, types and tests"
 	@echo "make bench  time one station update against the plain one, N = 3..9, and a plan (runs/bench.json, runs/planning.json)"
 	@echo "make decidable  measure which starts can be decided (deploy/pictures/decidable.png)"
@@ -19,13 +20,15 @@ help:
 	@echo "make fuzz   100,000 hostile messages to one agent (runs/fuzz.json)"
 	@echo "make schedules  a thousand random fault schedules (runs/schedules.json; SEEDS=0:100 for some)"
 	@echo "make soak   ten minutes of random kills and stops (runs/soak.json; SECONDS=60 for a short one)"
-	@echo "make lock   renew requirements.lock and requirements-test.lock from pyproject.toml"
+	@echo "make lock   renew the requirements*.lock from pyproject.toml"
 
 run: .venv/ready
 	$(BIN)/swarm run paper_run_1
 
 test: .venv/ready-to-test
 	$(PYTEST)
+
+viz: .venv/ready-to-view
 
 check: .venv/ready-to-test
 	$(BIN)/lint-imports
@@ -75,11 +78,17 @@ soak: .venv/ready-to-test
 	$(BIN)/uv pip install --quiet --python $(BIN)/python --require-hashes -r requirements-test.lock
 	touch $@
 
+.venv/ready-to-view: .venv/ready requirements-viz.lock
+	$(BIN)/uv pip install --quiet --python $(BIN)/python --require-hashes -r requirements-viz.lock
+	touch $@
+
 lock: .venv/uv
 	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 \
 		--extra build -o requirements.lock pyproject.toml
 	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 \
 		--extra build --extra test -o requirements-test.lock pyproject.toml
+	$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-header --python-version 3.11 \
+		--extra build --extra viz -c requirements.lock -o requirements-viz.lock pyproject.toml
 
 clean:
 	rm -rf .venv runs

@@ -7,6 +7,7 @@ import os
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 import argparse
+import contextlib
 import re
 import signal
 import sys
@@ -36,12 +37,13 @@ def _do(chosen: argparse.Namespace) -> int:
     from agent.interface.tables import BadExperiment
     from deploy.log import BadLog
     from deploy.run import NothingRecorded
+    from deploy.view.window import NoWindow
 
     try:
         return int(chosen.do(chosen))
     except (BadExperiment, BadLog) as error:
         return _complain(error, BAD_INPUT)
-    except NothingRecorded as error:
+    except (NothingRecorded, NoWindow) as error:
         return _complain(error, FAILED)
 
 
@@ -54,6 +56,8 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--seed", type=int, metavar="N", help="of every random number of the run")
     run.add_argument("--realtime", action="store_true", help="paced by the wall clock and waiting for nobody")
     run.add_argument("--in-process", action="store_true", help="everything in one process, without a network")
+    run.add_argument("--view", action="store_true", help="see it in three dimensions while it is flown")
+    run.add_argument("--web", action="store_true", help="the same, in a browser on this host")
     run.add_argument("--quiet", action="store_true", help="print nothing but the run folder")
     run.set_defaults(do=_run)
 
@@ -79,6 +83,17 @@ def _parser() -> argparse.ArgumentParser:
         help="the page (default: report.html in DIR, of several in runs/report-TIME)",
     )
     report.set_defaults(do=_report)
+
+    view = commands.add_parser("view", help="a recorded run in three dimensions")
+    view.add_argument("folder", type=Path, metavar="DIR", help="a run folder")
+    view.add_argument("--web", action="store_true", help="in a browser on this host, instead of a window")
+    view.set_defaults(do=_view)
+
+    export = commands.add_parser("export", help="a recorded run for other programs")
+    export.add_argument("folder", type=Path, metavar="DIR", help="a run folder")
+    export.add_argument("--format", required=True, choices=("tum", "csv", "rrd", "mcap-foxglove"))
+    export.add_argument("--out", type=Path, metavar="PATH", help="the file or folder (default: in DIR)")
+    export.set_defaults(do=_export)
 
     commands.add_parser("list", help="the bundled experiments")
 
@@ -106,20 +121,35 @@ def _what(parser: argparse.ArgumentParser, out: bool = True) -> None:
 
 
 def _run(chosen: argparse.Namespace) -> int:
+    from agent.interface.tables import BadExperiment
     from deploy import results, terminal
     from deploy.composition import check
     from deploy.experiment import load
     from deploy.run import folder_for, run
+    from deploy.supervisor import Outcome
+    from deploy.view import look, window
 
+    view = chosen.view or chosen.web
+    if view and chosen.in_process:
+        raise BadExperiment("--view --in-process: expected one of them; `swarm view DIR` shows the run afterwards")
     experiment = load(chosen.experiment, chosen.set, chosen.seed, chosen.realtime)
     check(experiment, chosen.in_process)
+    if view:
+        window.program()
     folder = folder_for(experiment.name, chosen.out)
     title = f"{experiment.name}, seed {experiment.fleet.seed}"
-    outcome, summary = run(experiment, folder, chosen.in_process, terminal.display(title, chosen.quiet))
-    if chosen.quiet:
-        print(folder)
-    elif summary is not None:
-        results.print_results(summary, folder)
+    with contextlib.ExitStack() as stack:
+        display = terminal.display(title, chosen.quiet)
+        seen = stack.enter_context(window.Window(chosen.web, folder / window.LOG)) if view else None
+        if seen is not None and seen.page and not chosen.quiet:
+            print(f"to be seen at {seen.page}", flush=True)
+        outcome, summary = run(experiment, folder, chosen.in_process, display, view=seen.url if seen else None)
+        if chosen.quiet:
+            print(folder, flush=True)
+        elif summary is not None:
+            results.print_results(summary, folder)
+        if seen is not None and outcome == Outcome():
+            look.stay(seen, _say)
     if outcome.failure is not None:
         return _complain(outcome.failure, FAILED)
     if outcome.interrupted:
@@ -182,7 +212,7 @@ def _report(chosen: argparse.Namespace) -> int:
 
     if len(set(map(Path.resolve, chosen.folders))) < len(chosen.folders):
         raise BadExperiment("a folder is given more than once")
-    page = build.build(chosen.folders, lambda words: print(words, file=sys.stderr, flush=True))
+    page = build.build(chosen.folders, _say)
     if chosen.out is not None:
         file = chosen.out
     else:
@@ -192,6 +222,20 @@ def _report(chosen: argparse.Namespace) -> int:
     except OSError as error:
         raise BadExperiment(f"{file}: cannot be written: {error.strerror}") from None
     print(file)
+    return FINE
+
+
+def _view(chosen: argparse.Namespace) -> int:
+    from deploy.view.look import look
+
+    look(chosen.folder, chosen.web, _say)
+    return FINE
+
+
+def _export(chosen: argparse.Namespace) -> int:
+    from deploy.export import export
+
+    print(export(chosen.folder, chosen.format, chosen.out))
     return FINE
 
 
@@ -225,6 +269,10 @@ def _record(chosen: argparse.Namespace) -> int:
         return FAILED
     results.print_results(score(folder), folder)
     return FINE
+
+
+def _say(words: str) -> None:
+    print(words, file=sys.stderr, flush=True)
 
 
 def _complain(what: object, status: int) -> int:

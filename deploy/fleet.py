@@ -10,6 +10,7 @@ from agent.interface.bus import Network
 from agent.interface.fleet import Fleet
 from deploy.faults import Faults
 
+VIEWER = "viewer"
 HIDDEN_FROM_AGENTS = ("truth/**", "fault/**")
 
 
@@ -28,7 +29,8 @@ class Process:
 
     name: str
     command: tuple[str, ...]
-    ends: Literal["by itself", "when told"]  # when told: by SIGTERM, after all that end by themselves
+    # When told: by SIGTERM, after all that end by themselves. Whenever: the same, but the run does without it, too.
+    ends: Literal["by itself", "when told", "whenever"]
     reports: bool = False  # its standard output is progress (JSON lines); everything else it says goes to its log
 
 
@@ -42,7 +44,13 @@ def on_one_host(fleet: Fleet, sockets: Path) -> dict[str, Place]:
 
 
 def processes(
-    fleet: Fleet, run: Path, networks: Path, epoch: int, places: dict[str, Place], faults: Faults
+    fleet: Fleet,
+    run: Path,
+    networks: Path,
+    epoch: int,
+    places: dict[str, Place],
+    faults: Faults,
+    view: str | None = None,
 ) -> tuple[Process, ...]:
     """The table of a run; writes each one's network file into `networks`.
 
@@ -51,24 +59,26 @@ def processes(
         epoch: the number of the run.
         places: where each process is, by name; one that is nowhere is not part of the run.
         faults: if there are any, the agents' buses are wrapped.
+        view: where a viewer listens, if one is to see the run.
     """
     everyone = [name for name in names(fleet) if name in places]
     late = {f"mav_{mav}" for mav in faults.late}
-    for index, name in enumerate(everyone):
+    there = [name for name in everyone if name not in late]
+    for index, name in enumerate([*everyone, *([VIEWER] if view else [])]):
         network = Network(
             name=name,
             namespace=f"swarm/{epoch}",
-            listen=(places[name].listen,),
+            listen=() if name == VIEWER else (places[name].listen,),
             connect=tuple(places[other].reach or places[other].listen for other in everyone[:index]),
             lossless=not fleet.realtime,
             deny=HIDDEN_FROM_AGENTS if name.startswith("mav_") else (),
         )
-        there = [other for other in everyone if other not in late]
         (networks / f"{name}.json").write_text(json.dumps(asdict(network) | {"everyone": there}))
 
     def command(module: str, name: str, *more: str) -> tuple[str, ...]:
         start = (str(run / "experiment.toml"), "--network", str(networks / f"{name}.json"), "--epoch", str(epoch))
-        return (*places[name].inside, sys.executable, "-m", module, *start, "--incarnation", "0", *more)
+        inside = places[name].inside if name in places else ()
+        return (*inside, sys.executable, "-m", module, *start, "--incarnation", "0", *more)
 
     agent = "deploy.impaired_agent" if faults.present else "agent"
     rows = []
@@ -80,4 +90,6 @@ def processes(
         else:
             mav = name.removeprefix("mav_")
             rows.append(Process(name, command(agent, name, "--mav", mav), ends="by itself"))
+    if view:  # nobody connects to it, or waits for it
+        rows.append(Process(VIEWER, command("deploy.view.live", VIEWER, "--to", view), ends="whenever"))
     return tuple(rows)

@@ -60,20 +60,22 @@ def run(
     in_process: bool,
     display: Display,
     places: dict[str, Place] | None = None,
+    view: str | None = None,
 ) -> Result:
     """Flies a checked experiment into an empty or new folder; whatever was recorded is scored, however it ended.
 
     Args:
         places: where the processes are, if not all on this host.
+        view: where a viewer listens, if one is to see the run.
     """
-    (folder / "logs").mkdir(parents=True)
+    (folder / "logs").mkdir(parents=True, exist_ok=True)
     (folder / "experiment.toml").write_text(experiment.toml())
     epoch = secrets.choice(EPOCHS)
     with display:
         if in_process:
             outcome = _in_process(experiment, folder, epoch, display)
         else:
-            outcome = _processes(experiment, folder, epoch, display, places)
+            outcome = _processes(experiment, folder, epoch, display, places, view)
     display.say("scoring")
     try:
         return Result(outcome, score(folder))
@@ -133,7 +135,12 @@ def score(folder: Path) -> dict[str, Any]:
 
 
 def _processes(
-    experiment: Experiment, folder: Path, epoch: int, display: Display, places: dict[str, Place] | None = None
+    experiment: Experiment,
+    folder: Path,
+    epoch: int,
+    display: Display,
+    places: dict[str, Place] | None,
+    view: str | None,
 ) -> Outcome:
     def show(line: bytes) -> None:
         display.show(msgspec.json.decode(line, type=Progress))
@@ -143,7 +150,7 @@ def _processes(
     with tempfile.TemporaryDirectory(prefix="swarm-") as name:
         networks = Path(name)
         where = places or fleet.on_one_host(experiment.fleet, networks)
-        table = fleet.processes(experiment.fleet, folder.resolve(), networks, epoch, where, faults)
+        table = fleet.processes(experiment.fleet, folder.resolve(), networks, epoch, where, faults, view)
         return supervisor.run(table, folder / "logs", show, director)
 
 

@@ -139,7 +139,8 @@ class _Crew:
 
     async def all_ready(self) -> None:
         for one in list(self._running.values()):
-            await one.ready.wait()
+            if one.row.ends != "whenever":
+                await one.ready.wait()
 
     async def _read(self, one: _Running) -> None:
         assert one.child.stdout is not None
@@ -170,7 +171,9 @@ class _Crew:
                     directing.result()  # what it raised
                     directing = None
                 for one in running:
-                    if one.ended.done() and (one.ended.result() != 0 or one.row.ends == "when told"):
+                    if one.row.ends == "whenever" or not one.ended.done():
+                        continue
+                    if one.ended.result() != 0 or one.row.ends == "when told":
                         return Outcome(failure=_words(one))
                 awaited = [one for one in running if one.row.ends == "by itself" and not one.stopped]
                 left = [one for one in awaited if not one.ended.done()]
@@ -203,10 +206,10 @@ class _Crew:
             if one.stopped:  # it could not heed anything gentler
                 _signal(one, signal.SIGKILL)
         await _stop([one for one in running if one.row.ends == "by itself"], STOP_S)
-        told = [one for one in running if one.row.ends == "when told"]
+        told = [one for one in running if one.row.ends != "by itself"]
         await _stop(told, STOP_RECORDER_S)
         await asyncio.gather(*self._readers)
-        return told
+        return [one for one in told if one.row.ends == "when told"]
 
 
 async def _stop(running: list[_Running], patience_s: float) -> None:

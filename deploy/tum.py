@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from agent.interface.frames import Array
-from deploy import commits
+from deploy import commits, metrics
 from deploy.recording import Recording
 
 
@@ -25,6 +25,16 @@ def export(recording: Recording, folder: Path) -> None:
             begun = recording.time_s >= since_s[agent - 1, mav - 1]
             poses = with_quaternion(absolute[begun, agent - 1, mav - 1])
             _write(folder / "estimate" / f"agent_{agent}" / f"mav_{mav}.tum", recording.time_s[begun], poses)
+
+
+def export_references(recording: Recording, folder: Path) -> None:
+    """Writes reference/agent_I/mav_J.tum: the true pose of J in the frame of the estimates of agent I, at all times."""
+    origins = metrics.origins_of_lives(recording.true_poses, recording.odometry, recording.incarnations)
+    true = metrics.absolute_from_world(origins, recording.true_poses)
+    for agent in recording.fleet.ids:
+        for mav in recording.fleet.ids:
+            poses = with_quaternion(true[:, agent - 1, mav - 1])
+            _write(folder / "reference" / f"agent_{agent}" / f"mav_{mav}.tum", recording.time_s, poses)
 
 
 def with_quaternion(poses: Array) -> Array:

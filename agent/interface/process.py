@@ -39,8 +39,11 @@ class Start(NamedTuple):
     patience_s: float  # how long it waits for them
 
 
-def arguments(program: str) -> Start:
+def arguments(program: str, words: list[str] | None = None) -> Start:
     """Reads the command line of `python -m agent`, `python -m world` and the recorder.
+
+    Args:
+        words: the command line; None: this process's own.
 
     Raises:
         BadExperiment: the experiment file's [fleet] table is wrong.
@@ -53,7 +56,7 @@ def arguments(program: str) -> Start:
     parser.add_argument("--incarnation", default="random", help="how many it has had before, or random (default)")
     parser.add_argument("--patience", type=float, default=START_TIMEOUT_S, help="s that it waits for the others")
     parser.add_argument("--meet", help="names of the processes to wait for, as in world,mav_2 (default: everyone)")
-    chosen = parser.parse_args()
+    chosen = parser.parse_args(words)
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
     experiment = tomllib.loads(chosen.experiment.read_text())
     fleet = parse_table(Fleet, experiment["fleet"], "fleet")
