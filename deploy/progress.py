@@ -29,6 +29,8 @@ class MavProgress(msgspec.Struct, frozen=True):
     stale: tuple[int, ...] = ()  # neighbours of which it has heard nothing for some time
     gone: tuple[int, ...] = ()  # neighbours that are not there any more
     holding: bool = False  # its own sensors are silent
+    lost: float | None = None  # share of what its sensors and its peers have sent since its start and it has not had
+    tick_ms: float | None = None  # what its last tick cost
 
 
 class Progress(msgspec.Struct, frozen=True):
@@ -97,7 +99,15 @@ class Watch:
             tuple(index + 1 for index, known in enumerate(status.neighbours) if known == state)
             for state in (messages.STALE, messages.GONE)
         )
-        return msgspec.structs.replace(progress, stale=stale, gone=gone, holding=status.holding)
+        sent = 2 * self._fleet.mavs * (status.seq + 1)  # a tick: odometry and a detection set, of everybody
+        return msgspec.structs.replace(
+            progress,
+            stale=stale,
+            gone=gone,
+            holding=status.holding,
+            lost=max(0.0, 1 - status.received / sent),
+            tick_ms=status.tick_us / 1000,
+        )
 
     def _decoded(self, kind: type[messages.M], payload: bytes | None) -> messages.M | None:
         if payload is None:

@@ -18,6 +18,7 @@ from agent.interface.messages import STATES
 from deploy.progress import MavProgress, Progress
 
 PLAIN_S = 2.0  # between lines when nobody watches
+LITTLE = 0.01  # share of packets that need not be spoken of
 REASON_WIDTH = 60  # characters of such a line
 LOCALISED = STATES[messages.LOCALISED]
 
@@ -102,21 +103,29 @@ def in_words(progress: Progress) -> str:
     holding = [str(mav.id) for mav in progress.mavs if mav.holding]
     words += f", holding: MAV {', '.join(holding)}" if holding else ""
     errors = [mav.error_m for mav in progress.mavs if mav.error_m is not None]
-    return f"{words}, largest relative error " + (f"{max(errors):.2f} m" if errors else "unknown")
+    words += ", largest relative error " + (f"{max(errors):.2f} m" if errors else "unknown")
+    lost = max((mav.lost for mav in progress.mavs if mav.lost is not None), default=0.0)
+    words += f", up to {100 * lost:.0f} % lost" if lost >= LITTLE else ""
+    ticks = [mav.tick_ms for mav in progress.mavs if mav.tick_ms is not None]
+    return words + (f", slowest tick {max(ticks):.0f} ms" if ticks else "")
 
 
 def as_table(progress: Progress, title: str, caption: str) -> Table:
     """One row per agent; the reasons take the width that is left, if there are any."""
     table = Table(title=title, caption=caption, title_justify="left", caption_justify="left")
     neighbours = any(mav.stale or mav.gone or mav.holding for mav in progress.mavs)
-    for heading in ("MAV", "state", "localised", "relative error", *(["neighbours"] if neighbours else [])):
+    headings = ("MAV", "state", "localised", "relative error", "lost", "tick", *(["neighbours"] if neighbours else []))
+    for heading in headings:
         table.add_column(heading, justify="left" if heading in ("state", "neighbours") else "right", no_wrap=True)
     reasons = any(mav.reason for mav in progress.mavs)
     if reasons:
         table.add_column("why")
     for mav in progress.mavs:
         error = "" if mav.error_m is None else f"{mav.error_m:.3f} m"
-        cells: list[str | Text] = [str(mav.id), mav.state, f"{mav.localised} of {len(progress.mavs) - 1}", error]
+        lost = "" if mav.lost is None else f"{100 * mav.lost:.0f} %"
+        tick = "" if mav.tick_ms is None else f"{mav.tick_ms:.0f} ms"
+        known = f"{mav.localised} of {len(progress.mavs) - 1}"
+        cells: list[str | Text] = [str(mav.id), mav.state, known, error, lost, tick]
         if neighbours:
             cells.append(neighbours_in_words(mav))
         if reasons:

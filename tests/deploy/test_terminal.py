@@ -69,7 +69,7 @@ def progress(*mavs: MavProgress) -> Progress:
 
 
 LOST = MavProgress(1, "searching", 2, "", 0, None)
-TORN = MavProgress(2, "ambiguous", 1, WHY, 1, 0.2)
+TORN = MavProgress(2, "ambiguous", 1, WHY, 1, 0.2, lost=0.31, tick_ms=12.4)
 SURE = MavProgress(3, "localised", None, "", 2, 0.125)
 
 
@@ -79,7 +79,8 @@ def test_in_words() -> None:
     )
     assert terminal.in_words(progress(LOST, TORN, SURE, LOST)) == (
         "1 of 4 MAVs have localised all others, 1 ambiguous, 2 searching "
-        "(MAV 2 about MAV 1: two places fit [the second is a mirror image of the ...), largest relative error 0.20 m"
+        "(MAV 2 about MAV 1: two places fit [the second is a mirror image of the ...), largest relative error 0.20 m, "
+        "up to 31 % lost, slowest tick 12 ms"
     )
     assert terminal.in_words(progress(LOST)) == (
         "0 of 1 MAVs have localised all others, 1 searching, largest relative error unknown"
@@ -95,7 +96,7 @@ def drawn(shown: Progress, width: int) -> str:
 def test_as_a_table_reasons_take_the_room_there_is() -> None:
     text = drawn(progress(LOST, TORN, SURE), 90)
     assert [line for line in text.splitlines() if "ambiguous" in line] == [
-        "│   2 │ ambiguous │    1 of 2 │        0.200 m │ MAV 1: two places fit [the second is a… │"
+        "│   2 │ ambiguous │    1 of 2 │        0.200 m │ 31 % │ 12 ms │ MAV 1: two places fit [… │"
     ]
     assert all(state in text for state in messages.STATES)
     assert max(map(len, text.splitlines())) <= 90
@@ -114,8 +115,8 @@ def test_lines_for_pipes_say_it_now_and_then(capsys: pytest.CaptureFixture[str])
     assert capsys.readouterr().out == f"   1.0 of 5 s, starting; {terminal.in_words(progress(TORN))}\n"
 
 
-def status(mav: int, neighbours: list[int], holding: bool = False) -> Packet:
-    counters = (1, 2, 3, 4, 5, 6, 7, (8,))
+def status(mav: int, neighbours: list[int], holding: bool = False, received: int = 3) -> Packet:
+    counters = (1, 2, received, 4, 5, 6, 7000, (8,))
     header = (messages.VERSION, EPOCH, mav, 0, 0)
     message = messages.Status(*header, *counters, neighbours=bytes(neighbours), holding=holding)
     return Packet(topics.key(topics.STATUS, mav), messages.encode(message))
@@ -131,3 +132,10 @@ def test_who_is_not_there_any_more_is_seen() -> None:
     assert "3 gone, 2 stale" in drawn(shown, 90)
     assert "holding, 3 gone" in drawn(shown, 90)
     assert "neighbours" not in drawn(progress(third), 90)
+
+
+@pytest.mark.parametrize(("received", "lost"), [(6, 0.0), (3, 0.5), (0, 1.0), (9, 0.0)])
+def test_what_was_sent_and_did_not_come_is_lost(received: int, lost: float) -> None:
+    """Of the two messages a tick of each of three MAVs; copies are no more than all."""
+    first, *_ = seen(status(1, [0, 0, 0], received=received))
+    assert (first.lost, first.tick_ms) == (lost, 7.0)
