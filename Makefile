@@ -4,13 +4,14 @@ BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest --numprocesses=logical --maxprocesses=4 --dist=loadfile
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: run test viz check bench decidable starts networks formations fuzz schedules soak lock clean
+.PHONY: run test viz paper check bench decidable starts networks formations fuzz schedules soak lock clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make run    fly the paper's first experiment with seven MAVs"
 	@echo "make test   run the tests"
 	@echo "make viz    install the 3-D viewer, for swarm view and swarm run --view (0.8 GB)"
+	@echo "make paper  the paper's experiments, ten seeds each, as one page (runs/paper/paper.html; half an hour)"
 	@echo "make check  import contracts, formatting, types and tests"
 	@echo "make bench  time one station update against the plain one, N = 3..9, and a plan (runs/bench.json, runs/planning.json)"
 	@echo "make decidable  measure which starts can be decided (deploy/pictures/decidable.png)"
@@ -29,6 +30,9 @@ test: .venv/ready-to-test
 	$(PYTEST)
 
 viz: .venv/ready-to-view
+
+paper: .venv/ready
+	$(BIN)/swarm report --paper
 
 check: .venv/ready-to-test
 	$(BIN)/lint-imports

@@ -75,12 +75,13 @@ def _parser() -> argparse.ArgumentParser:
     score.set_defaults(do=_score)
 
     report = commands.add_parser("report", help="a page about runs and studies, side by side")
-    report.add_argument("folders", type=Path, nargs="+", metavar="DIR", help="run and study folders")
+    report.add_argument("folders", type=Path, nargs="*", metavar="DIR", help="run and study folders")
+    report.add_argument("--paper", action="store_true", help="instead: the paper's experiments, flown (runs/paper)")
     report.add_argument(
         "--out",
         type=Path,
         metavar="FILE",
-        help="the page (default: report.html in DIR, of several in runs/report-TIME)",
+        help="the page (default: report.html in DIR, of several in runs/report-TIME); with --paper, its folder",
     )
     report.set_defaults(do=_report)
 
@@ -168,13 +169,12 @@ def _study(chosen: argparse.Namespace) -> int:
     seeds = range(int(bounds[1]), int(bounds[2])) if bounds else range(0)
     if not seeds:
         raise BadExperiment(f"--seeds {chosen.seeds}: expected A:B with B greater than A, as in 0:20")
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     if chosen.jobs is not None and chosen.jobs < 1:
         raise BadExperiment(f"--jobs {chosen.jobs}: expected 1 or more")
     wanted = study.jobs(chosen.experiment, chosen.set, seeds, chosen.grid)
     name = load(chosen.experiment, chosen.set).name
     folder = folder_for(f"study-{name}", chosen.out)
-    done = study.run_all(wanted, min(chosen.jobs or cores, len(wanted)), terminal.counter(len(wanted)))
+    done = study.run_all(wanted, min(chosen.jobs or _cores(), len(wanted)), terminal.counter(len(wanted)))
     if done.summaries:
         from deploy import heat_map, report, results, summary  # matplotlib: not for a mistake in the words
 
@@ -197,6 +197,10 @@ def _study(chosen: argparse.Namespace) -> int:
     return FAILED if done.failures else FINE
 
 
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def _score(chosen: argparse.Namespace) -> int:
     from deploy import results
     from deploy.run import score
@@ -210,6 +214,10 @@ def _report(chosen: argparse.Namespace) -> int:
     from deploy.page import build
     from deploy.run import folder_for
 
+    if chosen.paper:
+        return _paper(chosen)
+    if not chosen.folders:
+        raise BadExperiment("which runs? expected DIR..., or --paper")
     if len(set(map(Path.resolve, chosen.folders))) < len(chosen.folders):
         raise BadExperiment("a folder is given more than once")
     page = build.build(chosen.folders, _say)
@@ -222,6 +230,22 @@ def _report(chosen: argparse.Namespace) -> int:
     except OSError as error:
         raise BadExperiment(f"{file}: cannot be written: {error.strerror}") from None
     print(file)
+    return FINE
+
+
+def _paper(chosen: argparse.Namespace) -> int:
+    from agent.interface.tables import BadExperiment
+    from deploy import terminal
+    from deploy.paper import build
+
+    if chosen.folders:
+        raise BadExperiment("--paper: expected no DIR, it flies its own runs")
+    folder = chosen.out or Path("runs", "paper")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadExperiment(f"--out {folder}: cannot be made: {error.strerror}") from None
+    print(build.build(folder, _cores(), _say, terminal.counter))
     return FINE
 
 

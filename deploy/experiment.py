@@ -36,7 +36,7 @@ class Experiment(NamedTuple):
         record = {
             "experiment": self.name,
             "seed": self.fleet.seed,
-            "versions": {"python": platform.python_version()} | {name: _version(name) for name in VERSIONS},
+            "versions": {"python": platform.python_version()} | {name: version(name) for name in VERSIONS},
         }
         tables = {"fleet": msgspec.to_builtins(self.fleet), "agent": self.agent, "world": self.world}
         if disturbed := msgspec.to_builtins(self.faults):
@@ -155,7 +155,7 @@ def _inherit(world: dict[str, Any], agent: dict[str, Any]) -> dict[str, Any]:
     return agent
 
 
-def _version(package: str) -> str:
+def version(package: str) -> str:
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:

@@ -161,7 +161,7 @@ def _results(wanted: list[Job], processes: int) -> Generator[tuple[int, dict[str
             except Exception as error:  # the other runs go on; the study names this one
                 yield index, error
         return
-    pool = ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), _worker, (os.getpid(),))
+    pool = ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), worker, (os.getpid(),))
     try:
         running = {pool.submit(run_one, job): index for index, job in enumerate(wanted)}
         while running:
@@ -170,13 +170,18 @@ def _results(wanted: list[Job], processes: int) -> Generator[tuple[int, dict[str
                 failure = future.exception()
                 yield running.pop(future), failure if isinstance(failure, Exception) else future.result()
     finally:
-        pool.shutdown(wait=False, cancel_futures=True)
-        for child in multiprocessing.active_children():
-            child.terminate()
-            child.join()
+        end(pool)
 
 
-def _worker(launcher: int) -> None:
+def end(pool: ProcessPoolExecutor) -> None:
+    """At once, whatever its workers do."""
+    pool.shutdown(wait=False, cancel_futures=True)
+    for child in multiprocessing.active_children():
+        child.terminate()
+        child.join()
+
+
+def worker(launcher: int) -> None:
     """Ctrl-C is the launcher's; a worker dies with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     die_with(launcher)

@@ -81,8 +81,8 @@ def build(folders: list[Path], say: Callable[[str], None]) -> str:
             studies.append(_study(name, folder))
         else:
             raise BadExperiment(f"{folder}: neither log.mcap nor study.json is there, expected a run or study folder")
-    environment = Environment(loader=PackageLoader("deploy.page", "."), autoescape=True, undefined=StrictUndefined)
-    return environment.get_template("page.html").render(
+    environment = Environment(loader=PackageLoader("deploy", "."), autoescape=True, undefined=StrictUndefined)
+    return environment.get_template("page/page.html").render(
         runs=runs,
         studies=studies,
         compared=compared(runs),

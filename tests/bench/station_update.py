@@ -7,47 +7,21 @@ enumerates every hypothesis, in chunks; at N = 9 that takes seconds, so it gets 
 
 import json
 import os
-import statistics
 import sys
-from math import comb, factorial
 from pathlib import Path
-from typing import NamedTuple
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy is imported
 
 import numpy as np
 
-from agent.config import AgentConfig
-from agent.estimator.cpdaf import Rules
 from agent.estimator.estimator import Estimator
-from agent.estimator.gating import chi_square_quantile
 from agent.estimator.moments import DetectionGeometry
-from agent.estimator.state import Poses
-from agent.estimator.station_update import Pairs, station_update
-from agent.interface import clock
+from agent.estimator.station_update import Pairs
 from agent.interface.fleet import Fleet
+from deploy.paper.cost import CONFIG, Row, Update, measure
 from tests import team
 
-CONFIG = AgentConfig()
-FAST = Rules(chi_square_quantile(CONFIG.filter.P_G, 3), True, CONFIG.filter.pruned_mass)
-PLAIN = Rules(np.inf, False, 0.0)
 SETTLED = 30  # ticks
-PLAIN_BUDGET_US = 8_000_000
-
-
-class Update(NamedTuple):
-    poses: Poses
-    geometry: DetectionGeometry
-    pairs: Pairs
-    spherical: np.ndarray
-
-
-class Row(NamedTuple):
-    n: int
-    formation: str
-    hypotheses: int
-    fast_ms: float
-    plain_ms: float | None
 
 
 def updates(mavs: int, formation: str, wanted: int) -> list[Update]:
@@ -73,43 +47,14 @@ def updates(mavs: int, formation: str, wanted: int) -> list[Update]:
     raise AssertionError("the path has no end")
 
 
-def time_us(update: Update, rules: Rules) -> int:
-    began = clock.now_us()
-    station_update(*update, CONFIG.detector.clutter_density, rules)
-    return clock.now_us() - began
-
-
-def measure(mavs: int, formation: str, with_plain: bool) -> Row:
-    sets = updates(mavs, formation, 150)
-    for update in sets[:20]:
-        time_us(update, FAST)
-    fast = [time_us(update, FAST) for update in sets]
-    plain: list[int] = []
-    if with_plain:
-        time_us(sets[0], PLAIN)  # fills the caches
-        for update in sets:
-            plain.append(time_us(update, PLAIN))
-            if sum(plain) > PLAIN_BUDGET_US and len(plain) >= 3:
-                break
-    L = mavs - 1
-    hypotheses = sum(comb(L, D) ** 2 * factorial(D) for D in range(L + 1))
-    return Row(
-        mavs,
-        formation,
-        hypotheses,
-        statistics.median(fast) / 1e3,
-        statistics.median(plain) / 1e3 if plain else None,
-    )
-
-
 def main() -> None:
     print("one station update, ms (medians), one core; plain: no gating, every hypothesis\n")
     print(f"{'N':>3} {'formation':>9} {'hypotheses':>12} {'fast':>8} {'plain':>10} {'ratio':>8}")
     rows = []
     for formation in ("circle", "line"):
         for mavs in (*range(3, 10), 12, 20):
-            row = measure(mavs, formation, with_plain=mavs <= 9)
-            rows.append(row)
+            row = measure(mavs, updates(mavs, formation, 150), with_plain=mavs <= 9)
+            rows.append((formation, row))
             plain, ratio = (
                 ("", "") if row.plain_ms is None else (f"{row.plain_ms:10.2f}", f"{row.plain_ms / row.fast_ms:8.0f}")
             )
@@ -117,15 +62,15 @@ def main() -> None:
             print(f"{row.n:3d} {formation:>9} {count} {row.fast_ms:8.3f} {plain:>10} {ratio:>8}", flush=True)
     exponents = {}
     for formation in ("circle", "line"):
-        of = [(row.n, row.fast_ms) for row in rows if row.formation == formation]
+        of = [(row.n, row.fast_ms) for flown, row in rows if flown == formation]
         n, ms = np.log(np.array(of)).T
         exponents[formation] = float(np.polyfit(n, ms, 1)[0])
         print(f"growth of the fast update with N, {formation}: N^{exponents[formation]:.2f}")
-    compared = [row for row in rows if row.plain_ms is not None]
+    compared = [(flown, row) for flown, row in rows if row.plain_ms is not None]
     result = {
-        "station_update": [_entry(row) for row in compared if row.formation == "circle"],
-        "station_update_line": [_entry(row) for row in compared if row.formation == "line"],
-        "fast_only": [{"n": r.n, "formation": r.formation, "fast_ms": r.fast_ms} for r in rows if r.plain_ms is None],
+        "station_update": [_entry(row) for flown, row in compared if flown == "circle"],
+        "station_update_line": [_entry(row) for flown, row in compared if flown == "line"],
+        "fast_only": [{"n": r.n, "formation": at, "fast_ms": r.fast_ms} for at, r in rows if r.plain_ms is None],
         "growth_exponent": exponents,
     }
     path = Path("runs/bench.json")
