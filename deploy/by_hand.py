@@ -1,7 +1,8 @@
 """How is one process of a run started by hand, on one of several hosts? `swarm agent`, `swarm world`, `swarm recorder`.
 
 All hosts need the same experiment file, the same epoch and the same table of endpoints, a TOML file with a line for
-each process: `world = "tcp/192.168.1.10:7447"`, `mav_1 = ...`. The recorder may be left out.
+each process: `world = "tcp/192.168.1.10:7447"`, `mav_1 = ...`. The recorder may be left out; in real time the world,
+too, where drivers take its place.
 """
 
 import subprocess
@@ -39,7 +40,7 @@ def places(path: Path, experiment: Experiment) -> dict[str, Place]:
         raise BadExperiment(f"--network {path}: cannot be read as TOML: {error}") from None
     known = fleet.names(experiment.fleet)
     for name in known:
-        if name not in table and name != "recorder":
+        if name not in table and name not in (("recorder", "world") if experiment.fleet.realtime else ("recorder",)):
             raise BadExperiment(f"--network {path}: {name} is missing, expected an endpoint as in tcp/10.0.0.1:7447")
     for name, endpoint in table.items():
         if name not in known:
