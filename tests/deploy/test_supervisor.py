@@ -167,3 +167,20 @@ supervisor.run(table, Path({str(tmp_path)!r}), lambda line: print(int(line), flu
         launcher.kill()
     for pid in children:
         await_end(pid)  # or this test would not
+
+
+@pytest.mark.parametrize("ending", [READY + "sys.exit(1)", READY, WAIT, STUBBORN])
+def test_one_that_may_end_whenever_it_likes_does_not_decide_over_the_run(
+    ending: str, crew: Crew, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(supervisor, "STOP_RECORDER_S", 0.5)
+
+    def tell_the_other(pids: list[int]) -> None:
+        for pid in pids:
+            with contextlib.suppress(FileNotFoundError):  # it is no more
+                if "viewer" not in Path(f"/proc/{pid}/cmdline").read_text():
+                    os.kill(pid, signal.SIGTERM)
+
+    table = (row("mav_1", NOTED), row("viewer", ending + "  # viewer", ends="whenever"))
+    assert crew.run(*table, act=tell_the_other) == Outcome()
+    crew.assert_none_left()
