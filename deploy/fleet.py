@@ -29,7 +29,8 @@ class Process:
 
     name: str
     command: tuple[str, ...]
-    # When told: by SIGTERM, after all that end by themselves. Whenever: the same, but the run does without it, too.
+    # When told: by SIGTERM, after all that end by themselves. Whenever: the same, but the run does without it, too; who
+    # comes after it is started when it is ready.
     ends: Literal["by itself", "when told", "whenever"]
     reports: bool = False  # its standard output is progress (JSON lines); everything else it says goes to its log
 
@@ -90,6 +91,6 @@ def processes(
         else:
             mav = name.removeprefix("mav_")
             rows.append(Process(name, command(agent, name, "--mav", mav), ends="by itself"))
-    if view:  # nobody connects to it, or waits for it
-        rows.append(Process(VIEWER, command("deploy.view.live", VIEWER, "--to", view), ends="whenever"))
+    if view:  # nobody connects to it
+        rows.insert(0, Process(VIEWER, command("deploy.view.live", VIEWER, "--to", view), ends="whenever"))
     return tuple(rows)

@@ -106,7 +106,7 @@ class Watch:
             gone=gone,
             holding=status.holding,
             lost=max(0.0, 1 - status.received / sent),
-            tick_ms=status.tick_us / 1000,
+            tick_ms=None if status.final else status.tick_us / 1000,
         )
 
     def _decoded(self, kind: type[messages.M], payload: bytes | None) -> messages.M | None:

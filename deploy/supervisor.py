@@ -22,6 +22,7 @@ from deploy.process_faults import Director
 
 STOP_S = 3.0  # from SIGTERM to SIGKILL
 STOP_RECORDER_S = 8.0  # it may wait five seconds for what is still on its way
+READY_S = 30.0  # what the run does without, too, is waited for so long
 TOGETHER_S = 10.0  # when one has ended well, the others must, so soon
 ENVIRONMENT = {"OPENBLAS_NUM_THREADS": "1"}  # threads of small algebra only fight for the cores
 
@@ -66,6 +67,8 @@ async def _run(table: tuple[Process, ...], crew: "_Crew", director: Director | N
                     break
                 if director is None or row.name not in director.late:
                     await crew.launch(row)
+                if row.ends == "whenever":
+                    await crew.await_ready(row.name, interrupt)
             if director is not None:
                 directing = asyncio.create_task(director.direct(crew))
             outcome = await crew.watch(interrupt, directing)
@@ -116,6 +119,14 @@ class _Crew:
     async def start(self, name: str, *more: str) -> None:
         await self.launch(self._rows[name], *more)
         await self._running[name].ready.wait()
+
+    async def await_ready(self, name: str, interrupt: asyncio.Event) -> None:
+        """Returns when it is, or will not be any more, or takes too long."""
+        one = self._running[name]
+        tasks = [asyncio.create_task(event.wait()) for event in (one.ready, interrupt)]
+        await asyncio.wait([one.ended, *tasks], timeout=READY_S, return_when=asyncio.FIRST_COMPLETED)
+        for task in tasks:
+            task.cancel()
 
     async def kill(self, name: str) -> None:
         one = self._running.pop(name)  # from here on nobody wonders how it ends

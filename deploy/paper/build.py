@@ -126,7 +126,7 @@ def parts(runs: dict[str, figures.Runs], rows: list[Row]) -> list[Part]:
     if reached:
         words += f", {_interval(reached)} m RMS from it in the last 5 s"
     found.append(Part(LINE.figure, LINE.what, LINE.reported, words, figures.convergence(flown)))
-    ends = [f"{figures.saved(row):.3g} times with {row.n} robots" for row in (rows[0], rows[-1])]
+    ends = [f"{figures.saved(row):,.1f} times with {row.n} robots" for row in (rows[0], rows[-1])]
     ours = " to ".join(ends) + "; medians, one core"
     found.append(
         Part("computation time", "one update, with and without these steps", COST_REPORTED, ours, figures.cost(rows))

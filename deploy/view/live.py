@@ -12,7 +12,7 @@ from pathlib import Path
 
 from agent.interface import clock
 from agent.interface.bus import BusError, Inbox
-from agent.interface.process import arguments, join, on_the_bus, stop_on_signals
+from agent.interface.process import READY, arguments, join, on_the_bus, stop_on_signals
 from deploy.experiment import from_text
 from deploy.recorder import Stopping
 from deploy.view.scene import Stage, stage_of
@@ -39,6 +39,7 @@ def main() -> int:
         # Not lossless: if this one is slow, it loses what is old, and nobody waits for it.
         with on_the_bus(start._replace(network=replace(start.network, lossless=False))) as bus:
             inbox = bus.subscribe("**")
+            print(READY.decode(), flush=True)  # the others may start now
             join(start, bus)
             stopping = Stopping()
             signal.signal(signal.SIGTERM, stopping)

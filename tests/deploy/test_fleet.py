@@ -18,8 +18,8 @@ def table(folder: Path, view: str | None = None) -> tuple[fleet.Process, ...]:
 def test_a_viewer_is_one_more_that_nobody_waits_for(tmp_path: Path) -> None:
     without, with_viewer = table(tmp_path), table(tmp_path, "rerun+http://127.0.0.1:1/proxy")
     assert [row.name for row in without] == ["recorder", "world", "mav_1", "mav_2"]
-    assert with_viewer[:-1] == without
-    viewer = with_viewer[-1]
+    assert with_viewer[1:] == without
+    viewer = with_viewer[0]
     assert (viewer.name, viewer.ends) == ("viewer", "whenever")
     assert "rerun+http://127.0.0.1:1/proxy" in viewer.command
     for name in ("recorder", "world", "mav_1", "mav_2", "viewer"):

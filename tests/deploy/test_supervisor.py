@@ -174,6 +174,7 @@ def test_one_that_may_end_whenever_it_likes_does_not_decide_over_the_run(
     ending: str, crew: Crew, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(supervisor, "STOP_RECORDER_S", 0.5)
+    monkeypatch.setattr(supervisor, "READY_S", 0.1)
 
     def tell_the_other(pids: list[int]) -> None:
         for pid in pids:
@@ -184,3 +185,12 @@ def test_one_that_may_end_whenever_it_likes_does_not_decide_over_the_run(
     table = (row("mav_1", NOTED), row("viewer", ending + "  # viewer", ends="whenever"))
     assert crew.run(*table, act=tell_the_other) == Outcome()
     crew.assert_none_left()
+
+
+def test_the_others_begin_when_it_is_ready(crew: Crew) -> None:
+    """Each notes when it begins; the first says that it is ready only once it has noted something itself."""
+    note = f"open({str(crew.logs / 'order')!r}, 'a').write"
+    viewer = f"{note}('viewer '); print('ready', flush=True); import signal; signal.pause()"
+    table = (row("viewer", viewer, ends="whenever"), row("mav_1", f"{note}('mav_1')"))
+    assert supervisor.run(table, crew.logs, lambda _: None) == Outcome()
+    assert (crew.logs / "order").read_text() == "viewer mav_1"

@@ -60,7 +60,7 @@ def test_the_page_lays_ours_beside_what_the_paper_says(folder: Path, flown: Flow
     assert "{{" not in text
     assert text.count("<img ") == 2 + len(FLIGHTS)
     assert all(address.startswith("data:image/svg+xml;base64,") for address in re.findall(r'src="([^"]*)"', text))
-    for words in (RUN_1.reported, LINE.what, "12.6 times", "4 times with 3 robots to 8e+03 times with 9 robots"):
+    for words in (RUN_1.reported, LINE.what, "12.6 times", "4.0 times with 3 robots to 8,000.0 times with 9 robots"):
         assert words in text
     assert flown.result.summary is not None
     assert f"{flown.result.summary['relative']['rmse_m']:.4f}" in text
@@ -75,6 +75,18 @@ def test_the_same_table_is_there_for_the_readme(folder: Path) -> None:
     assert re.fullmatch(r"seeds 0 to 1 each, unknown start, \d{4}-\d\d-\d\d; .*", lines[0])
     for each in FLIGHTS:
         assert sum(line.startswith(f"| `{each.experiment}` |") for line in lines) == 1
+
+
+def test_the_readme_shows_a_table_that_was_made_so(folder: Path) -> None:
+    built(folder)
+    made = (folder / "paper.md").read_text().split("\n\n\n")[0].splitlines()
+    shown = re.findall(r"<!-- make paper: .*? -->\n(.*?)\n<!-- end -->", (ROOT / "README.md").read_text(), re.DOTALL)
+    lines = shown[0].splitlines()
+    assert len(lines) == len(made)
+    assert lines[1:4] == made[1:4]  # the heading
+    assert re.fullmatch(r"seeds 0 to 9 each, unknown start, 20\d\d-\d\d-\d\d; .*", lines[0])
+    for theirs, ours in zip(lines[4:], made[4:], strict=True):
+        assert theirs.split("|")[1] == ours.split("|")[1]
 
 
 @pytest.mark.parametrize("damage", ["half", "{}", '{"version": "of another version"}', None])
