@@ -21,13 +21,18 @@ from agent.interface.tables import parse_table
 from deploy import metrics
 from deploy.experiment import Experiment, from_text
 from deploy.log import read_log
+from deploy.peek import peek
 from deploy.recording import UPPER, pose_of
 
 OPEN = 3  # ticks that are still waited for: their messages come in any order
-TOPICS = (
-    topics.TRUTH, topics.ODOMETRY, topics.DETECTIONS, topics.ESTIMATE, topics.REGISTRATION, topics.STATUS,
-    topics.ROLL, topics.ARRIVALS,
-)  # fmt: skip
+SHOWN = {
+    topic.name
+    for topic in (
+        topics.TRUTH, topics.ODOMETRY, topics.DETECTIONS, topics.ESTIMATE, topics.REGISTRATION, topics.STATUS,
+        topics.ROLL, topics.ARRIVALS,
+    )
+}  # fmt: skip
+Tick = dict[tuple[str, int], bytes]  # payloads by topic and MAV: most are never looked at
 
 
 class Belief(NamedTuple):
@@ -61,7 +66,7 @@ class Stage:
 
     def __init__(self, fleet: Fleet, epoch: int, detector: Detector, faults: bool) -> None:
         self._fleet, self._epoch, self._detector, self._faults = fleet, epoch, detector, faults
-        self._open: dict[int, _Tick] = {}
+        self._open: dict[int, Tick] = {}
         self._closed = -1
         self._origins = np.full((fleet.mavs, 4), np.nan)  # of the odometry frames, in world
         self._lives = np.zeros(fleet.mavs, int)
@@ -71,14 +76,19 @@ class Stage:
         """The scenes that are complete now, oldest first; none if they are not to be shown, which costs much less."""
         try:
             topic, mav = topics.parse(packet.key)
-            if topic not in TOPICS or mav not in self._fleet.ids:
-                return []
-            message = messages.decode(topic.kind, packet.payload, self._epoch)
         except messages.Rejected:
             return []
-        k = round(message.stamp_ns * self._fleet.rate_hz / 1e9)
-        if self._closed < k <= self._fleet.ticks:
-            self._open.setdefault(k, _Tick(self._fleet.mavs)).add(message, mav - 1)
+        header = peek(packet.payload)
+        if topic.name not in SHOWN or mav not in self._fleet.ids or header is None or header.epoch != self._epoch:
+            return []
+        k = round(header.stamp_ns * self._fleet.rate_hz / 1e9)
+        if not self._closed < k <= self._fleet.ticks:
+            return []
+        if k not in self._open:
+            self._open[k] = {}
+        self._open[k][topic.name, mav] = packet.payload
+        if len(self._open) <= OPEN:
+            return []
         ripe = [k for k in sorted(self._open) if k <= max(self._open) - OPEN]
         closed = [(k, self._close(k)) for k in ripe]
         return [self._scene(k, tick) for k, tick in closed if show]
@@ -87,38 +97,59 @@ class Stage:
         """The scenes that are left when nothing more will come."""
         return [self._scene(k, self._close(k)) for k in sorted(self._open)]
 
+    def _message(self, kind: type[messages.M], topic: topics.Topic, tick: Tick, mav: int) -> messages.M | None:
+        payload = tick.get((topic.name, mav))
+        try:
+            return None if payload is None else messages.decode(kind, payload, self._epoch)
+        except messages.Rejected:
+            return None
+
+    def _close(self, k: int) -> Tick:
+        """What is kept of a tick for the next ones."""
+        tick, self._closed = self._open.pop(k), k
+        for mav in self._fleet.ids:
+            roll = self._message(messages.Roll, topics.ROLL, tick, mav)
+            if roll is not None:
+                self._begin_anew(roll)
+        for i in np.flatnonzero(np.isnan(self._origins[:, 0])).tolist():
+            self._origins[i] = compose(self._truth(tick, i), inverse(self._odometry(tick, i)))
+        for i, mav in enumerate(self._fleet.ids):
+            if not self._faults:
+                if (topics.ODOMETRY.name, mav) in tick:
+                    self._newest[:, i] = k
+            elif (found := self._message(messages.Arrivals, topics.ARRIVALS, tick, mav)) is not None:
+                senders, stamps = np.frombuffer(found.senders, np.uint8), np.frombuffer(found.stamps, "<i8")
+                known = (senders >= 1) & (senders <= self._fleet.mavs)
+                np.fmax.at(self._newest[i], senders[known] - 1, np.round(stamps[known] * self._fleet.rate_hz / 1e9))
+        return tick
+
     def _begin_anew(self, roll: messages.Roll) -> None:
         """Whoever was started anew has an odometry frame of its own."""
         for mav, life in zip(roll.mavs, roll.incarnations, strict=True):
             if mav in self._fleet.ids and life > self._lives[mav - 1]:
                 self._lives[mav - 1], self._origins[mav - 1] = life, np.nan
 
-    def _close(self, k: int) -> "_Tick":
-        """What is kept of a tick for the next ones."""
-        tick, self._closed = self._open.pop(k), k
-        for roll in tick.rolls:
-            self._begin_anew(roll)
-        began = np.isnan(self._origins).any(axis=1)
-        self._origins[began] = compose(tick.truth, inverse(tick.odometry))[began]
-        if self._faults:
-            for i, found in tick.arrivals:
-                senders, stamps = np.frombuffer(found.senders, np.uint8), np.frombuffer(found.stamps, "<i8")
-                known = (senders >= 1) & (senders <= self._fleet.mavs)
-                ticks = np.round(stamps[known] * self._fleet.rate_hz / 1e9)
-                np.fmax.at(self._newest[i], senders[known] - 1, ticks)
-        else:
-            self._newest[:, np.isfinite(tick.odometry).all(axis=1)] = k
-        return tick
+    def _truth(self, tick: Tick, i: int) -> Array:
+        found = self._message(messages.Truth, topics.TRUTH, tick, i + 1)
+        if found is None:
+            return np.full(4, np.nan)
+        return pose_of(np.concatenate([floats(found.position), floats(found.quaternion)]))
 
-    def _scene(self, k: int, tick: "_Tick") -> Scene:
-        beliefs = {i + 1: self._belief(tick, i) for i in sorted(tick.estimates) if self._fits(tick.estimates[i])}
-        return Scene(self._fleet.stamp_ns(k) / 1e9, tick.truth, beliefs, (k - self._newest) / self._fleet.rate_hz)
+    def _odometry(self, tick: Tick, i: int) -> Array:
+        found = self._message(messages.Odometry, topics.ODOMETRY, tick, i + 1)
+        return np.full(4, np.nan) if found is None else floats(found.pose)
 
-    def _fits(self, estimate: messages.Estimate) -> bool:
-        return len(estimate.states) == self._fleet.mavs
+    def _scene(self, k: int, tick: Tick) -> Scene:
+        truth = np.array([self._truth(tick, i) for i in range(self._fleet.mavs)])
+        beliefs: dict[int, Belief] = {}
+        for mav in self._fleet.ids:
+            estimate = self._message(messages.Estimate, topics.ESTIMATE, tick, mav)
+            if estimate is not None and len(estimate.states) == self._fleet.mavs:
+                beliefs[mav] = self._belief(tick, mav - 1, estimate, truth)
+        return Scene(self._fleet.stamp_ns(k) / 1e9, truth, beliefs, (k - self._newest) / self._fleet.rate_hz)
 
-    def _belief(self, tick: "_Tick", i: int) -> Belief:
-        estimate, N = tick.estimates[i], self._fleet.mavs
+    def _belief(self, tick: Tick, i: int, estimate: messages.Estimate, truth: Array) -> Belief:
+        N = self._fleet.mavs
         states = np.frombuffer(estimate.states, np.uint8)
         believed = np.where((states == LOCALISED)[:, None], floats(estimate.poses).reshape(N, 4), np.nan)
         believed[i] = floats(estimate.poses).reshape(N, 4)[i]  # by its own odometry, always
@@ -128,13 +159,15 @@ class Stage:
         origin = self._origins[i] if np.isfinite(self._origins[i]).all() else np.zeros(4)
         frame = compose(origin, inverse(floats(estimate.start)))  # of its odometry as it has drifted until now
         placed = turned(frame[3], covariances[:, :3, :3])
-        weights, rivals = self._rivals(tick.registrations.get(i))
-        spherical = tick.detections.get(i, np.zeros((0, 3)))
+        weights, rivals = self._rivals(self._message(messages.Registration, topics.REGISTRATION, tick, i + 1))
+        seen = self._message(messages.Detections, topics.DETECTIONS, tick, i + 1)
+        spherical = np.zeros((0, 3)) if seen is None else read_spherical(seen.spherical)
         vectors = spherical[:, :1] * direction(spherical[:, 1], spherical[:, 2])
         relative = relative_pose(believed[i], believed)
         sure = np.isfinite(relative[:, 0]) & (np.arange(N) != i)
         own = turned(-believed[i, 3], covariances[:, :3, :3])
-        true = relative_pose(tick.truth[i], tick.truth)
+        true = relative_pose(truth[i], truth)
+        status = self._message(messages.Status, topics.STATUS, tick, i + 1)
         return Belief(
             poses=compose(frame, believed),
             covariances=placed,
@@ -144,7 +177,7 @@ class Stage:
             rivals=compose(frame, rivals),
             rival_weights=weights,
             error_m=metrics.rms(np.linalg.norm((relative - true)[sure, :3], axis=-1)),
-            tick_ms=float(tick.tick_us[i]) / 1000,
+            tick_ms=np.nan if status is None or status.final else status.tick_us / 1000,
         )
 
     def _rivals(self, registration: messages.Registration | None) -> tuple[Array, Array]:
@@ -154,38 +187,6 @@ class Stage:
         placed = np.frombuffer(registration.placed, np.uint8).reshape(-1, N) > 0
         poses = np.frombuffer(registration.poses, "<f4").reshape(-1, N, 4).astype(float)
         return floats(registration.weights), np.where(placed[..., None], poses, np.nan)
-
-
-class _Tick:
-    """The messages of one tick, by agent."""
-
-    def __init__(self, mavs: int) -> None:
-        self.truth, self.odometry = np.full((2, mavs, 4), np.nan)
-        self.tick_us = np.full(mavs, np.nan)
-        self.estimates: dict[int, messages.Estimate] = {}
-        self.registrations: dict[int, messages.Registration] = {}
-        self.detections: dict[int, Array] = {}
-        self.arrivals: list[tuple[int, messages.Arrivals]] = []
-        self.rolls: list[messages.Roll] = []
-
-    def add(self, message: messages.Header, i: int) -> None:
-        match message:
-            case messages.Truth():
-                self.truth[i] = pose_of(np.concatenate([floats(message.position), floats(message.quaternion)]))
-            case messages.Odometry():
-                self.odometry[i] = floats(message.pose)
-            case messages.Status():
-                self.tick_us[i] = message.tick_us
-            case messages.Estimate():
-                self.estimates[i] = message
-            case messages.Registration():
-                self.registrations[i] = message
-            case messages.Detections():
-                self.detections[i] = read_spherical(message.spherical)
-            case messages.Arrivals():
-                self.arrivals.append((i, message))
-            case messages.Roll():
-                self.rolls.append(message)
 
 
 def turned(yaw: float | Array, covariances: Array) -> Array:
