@@ -255,7 +255,8 @@ _ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 @contextlib.contextmanager
 def _signals(interrupt: asyncio.Event) -> Iterator[None]:
-    loop = asyncio.get_running_loop()
+    """Afterwards the signals do what they did before."""
+    loop, before = asyncio.get_running_loop(), {number: signal.getsignal(number) for number in _ENDS}
     for number in _ENDS:
         loop.add_signal_handler(number, interrupt.set)
     try:
@@ -263,3 +264,4 @@ def _signals(interrupt: asyncio.Event) -> Iterator[None]:
     finally:
         for number in _ENDS:
             loop.remove_signal_handler(number)
+            signal.signal(number, before[number])

@@ -194,3 +194,15 @@ def test_the_others_begin_when_it_is_ready(crew: Crew) -> None:
     table = (row("viewer", viewer, ends="whenever"), row("mav_1", f"{note}('mav_1')"))
     assert supervisor.run(table, crew.logs, lambda _: None) == Outcome()
     assert (crew.logs / "order").read_text() == "viewer mav_1"
+
+
+def test_after_a_run_signals_do_what_they_did_before(crew: Crew) -> None:
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        for number in before:
+            signal.signal(number, signal.default_int_handler)
+        crew.run(row("world", READY))
+        assert {signal.getsignal(number) for number in before} == {signal.default_int_handler}
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
