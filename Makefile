@@ -11,7 +11,7 @@ help:
 	@echo "make run    fly the paper's first experiment with seven MAVs"
 	@echo "make test   run the tests"
 	@echo "make viz    install the 3-D viewer, for swarm view and swarm run --view (0.8 GB)"
-	@echo "make paper  the paper's experiments, ten seeds each, as one page (runs/paper/paper.html; half an hour)"
+	@echo "make paper  the paper's experiments, ten seeds each, as one page (runs/paper/paper.html; 15 to 30 minutes)"
 	@echo "make check  import contracts, formatting, types and tests"
 	@echo "make bench  time one station update against the plain one, N = 3..9, and a plan (runs/bench.json, runs/planning.json)"
 	@echo "make decidable  measure which starts can be decided (deploy/pictures/decidable.png)"
