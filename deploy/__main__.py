@@ -13,20 +13,31 @@ from pathlib import Path
 
 from deploy import commands
 from deploy.bundled import bundled
-from deploy.commands import BAD_INPUT, FAILED, FINE, INTERRUPTED
+from deploy.commands import BAD_INPUT, FAILED, FINE, INTERRUPTED, UNHEARD
 
 
 def main(words: list[str] | None = None) -> int:
-    """Exit status: 0 it did what was asked, 1 it failed, 2 bad input, 130 Ctrl-C."""
+    """Exit status: 0 it did what was asked, 1 it failed, 2 bad input, 130 Ctrl-C, 141 nobody reads what it says."""
     chosen = _parser().parse_args(words)
+    try:
+        return _listened_to(chosen)
+    except BrokenPipeError:  # as in `swarm run line | head -3`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what is still in its buffer
+        return UNHEARD
+
+
+def _listened_to(chosen: argparse.Namespace) -> int:
     if chosen.command == "list":
         for name, description in bundled().items():
             print(f"{name:21} {description}")
+        sys.stdout.flush()
         return FINE
     for number in (signal.SIGTERM, signal.SIGHUP):  # they end a run as Ctrl-C does
         signal.signal(number, signal.default_int_handler)
     try:
-        return _do(chosen)
+        status = _do(chosen)
+        sys.stdout.flush()
+        return status
     except KeyboardInterrupt:
         return commands.complain("interrupted", INTERRUPTED)
 

@@ -10,7 +10,7 @@ import re
 import sys
 from pathlib import Path
 
-FINE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+FINE, FAILED, BAD_INPUT, INTERRUPTED, UNHEARD = 0, 1, 2, 130, 141
 
 
 def run(chosen: argparse.Namespace) -> int:

@@ -175,6 +175,8 @@ def _in_process(experiment: Experiment, folder: Path, epoch: int, display: Displ
             composition.fly(experiment, epoch, record)
         except KeyboardInterrupt:
             return Outcome(interrupted=True)
+        except BrokenPipeError:  # of the display
+            raise
         except Exception as error:  # as a process that fails: its last words, and where the others are
             (folder / "logs" / "run.txt").write_text(traceback.format_exc())
             last = f"{type(error).__name__}: {error}"

@@ -51,7 +51,7 @@ def run(
     Args:
         table: what to start.
         logs: directory for one <name>.txt each.
-        progress: is called with every line of those that report.
+        progress: is called with every line of those that report; what it raises ends the run and is raised here.
         director: has processes killed, stopped and restarted.
     """
     return asyncio.run(_run(table, _Crew(table, logs, progress, director), director))
@@ -181,6 +181,9 @@ class _Crew:
                 if directing is not None and directing.done():
                     directing.result()  # what it raised
                     directing = None
+                for reader in self._readers:
+                    if reader.done():
+                        reader.result()  # what `progress` raised
                 for one in running:
                     if one.row.ends == "whenever" or not one.ended.done():
                         continue
@@ -200,7 +203,8 @@ class _Crew:
                         failure=f"{first} ended, but {TOGETHER_S:g} s later these had not: {names} (log: {where})"
                     )
                 changed = asyncio.create_task(self._changed.wait())
-                pending = [interrupted, changed, *(one.ended for one in running if not one.ended.done())]
+                unfinished = [*(one.ended for one in running), *self._readers]
+                pending = [interrupted, changed, *(task for task in unfinished if not task.done())]
                 await asyncio.wait(
                     pending if directing is None else [*pending, directing],
                     timeout=None if deadline is None else deadline - loop.time(),

@@ -10,6 +10,7 @@ import msgpack
 import psutil
 import pytest
 
+from agent.interface import clock
 from agent.interface.bus import Packet
 from agent.interface.fleet import Fleet
 from deploy import composition, supervisor
@@ -22,6 +23,7 @@ from deploy.run import run
 from deploy.supervisor import Outcome
 from deploy.terminal import Quiet
 from tests.deploy.test_supervisor import READY, WAIT, row
+from world.world import STOOD_STILL_S
 
 EXPERIMENT = """
 [fleet]
@@ -64,9 +66,10 @@ def test_the_same_seed_gives_the_same_as_in_one_process_whoever_dies(tmp_path: P
 
 
 class Watching(Quiet):
-    """Stops the world once, lets it go on when all agents hold, and ends the run when none does any more."""
+    """Stops the world once, lets it go on when it must notice and all agents hold, and ends the run when none does."""
 
     def __init__(self) -> None:
+        self.stopped_s = 0.0
         self.before = psutil.Process().children(recursive=True)
         self.held = self.stopped = self.went_on = False
 
@@ -79,9 +82,10 @@ class Watching(Quiet):
 
     def show(self, progress: Progress) -> None:
         if progress.sim_s > 0.2 and not self.stopped:
-            self.stopped = True
+            self.stopped, self.stopped_s = True, clock.now_s()
             self.world().send_signal(signal.SIGSTOP)
-        if all(mav.holding for mav in progress.mavs) and not self.held:
+        long = clock.now_s() > self.stopped_s + STOOD_STILL_S + 0.5
+        if long and all(mav.holding for mav in progress.mavs) and not self.held:
             self.held = True
             self.world().send_signal(signal.SIGCONT)
         if self.held and not self.went_on and not any(mav.holding for mav in progress.mavs):

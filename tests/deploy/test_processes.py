@@ -3,6 +3,8 @@
 import json
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -129,3 +131,18 @@ def test_a_killed_agent_ends_the_run_and_is_named(
 
     assert fly_an_hour(Acting(kill), tmp_path / "run", monkeypatch) == 1
     assert capsys.readouterr().err.startswith("swarm: mav_2 ended early (killed by SIGKILL)")
+
+
+@pytest.mark.parametrize("how", ["", "--in-process"])
+def test_a_run_whose_output_nobody_reads_any_more_ends_at_once_and_without_a_word(tmp_path: Path, how: str) -> None:
+    """As with `swarm run line | head -1`."""
+    command = [sys.executable, "-m", "deploy", "run", "line", "--out", tmp_path / "run", *how.split()]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as swarm:
+        assert swarm.stdout is not None
+        assert swarm.stderr is not None
+        assert swarm.stdout.readline()
+        swarm.stdout.close()
+        assert swarm.stderr.read() == b""
+    assert swarm.returncode == 141
+    assert read_log(tmp_path / "run" / "log.mcap").packets  # what was flown is there
+    assert not [each for each in psutil.process_iter(["cmdline"]) if str(tmp_path) in (each.info["cmdline"] or [])]

@@ -169,6 +169,16 @@ supervisor.run(table, Path({str(tmp_path)!r}), lambda line: print(int(line), flu
         await_end(pid)  # or this test would not
 
 
+@pytest.mark.usefixtures("impatient")
+def test_a_display_that_fails_ends_the_run_and_is_heard_of(crew: Crew) -> None:
+    def fail(pids: list[int]) -> None:
+        raise BrokenPipeError
+
+    with pytest.raises(BrokenPipeError):
+        crew.run(row("recorder", NOTED, "when told"), row("world", WAIT), act=fail)
+    crew.assert_none_left()
+
+
 @pytest.mark.parametrize("ending", [READY + "sys.exit(1)", READY, WAIT, STUBBORN])
 def test_one_that_may_end_whenever_it_likes_does_not_decide_over_the_run(
     ending: str, crew: Crew, monkeypatch: pytest.MonkeyPatch
@@ -178,7 +188,7 @@ def test_one_that_may_end_whenever_it_likes_does_not_decide_over_the_run(
 
     def tell_the_other(pids: list[int]) -> None:
         for pid in pids:
-            with contextlib.suppress(FileNotFoundError):  # it is no more
+            with contextlib.suppress(FileNotFoundError, ProcessLookupError):  # it is no more
                 if "viewer" not in Path(f"/proc/{pid}/cmdline").read_text():
                     os.kill(pid, signal.SIGTERM)
 
