@@ -255,7 +255,7 @@ class Registrar:
         """Tests the leader against those who would exchange identities on its places."""
         assert self._hypotheses is not None
         name = int(self._hypotheses.names[verdict.leader])
-        past = self._past(min(places.FRAMES << self._fruitless, WINDOW))  # what a few ticks do not tell, more may
+        past = self._past(max(places.FRAMES, verdict.ticks))  # what a few ticks do not tell, all that it has lasted may
         found = yield from challenge(self._config, self._hypotheses, verdict.leader, past, self._team.placed)
         yield from self._add(found.rivals, past[-1])
         self._challenged[name] = Challenged(self._done, found.saturated)
