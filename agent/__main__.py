@@ -7,9 +7,10 @@ from collections.abc import Callable
 from agent import config
 from agent.agent import Agent
 from agent.interface import process
-from agent.interface.bus import Bus, BusError, ZenohBus
+from agent.interface.bus import Bus, BusError
 from agent.interface.process import Start
 from agent.interface.tables import BadExperiment
+from agent.interface.zenoh_bus import ZenohBus
 
 
 def main(wrapped: Callable[[ZenohBus, Start], Bus] = lambda bus, _: bus) -> int:

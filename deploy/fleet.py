@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
 
-from agent.interface.bus import Network
 from agent.interface.fleet import Fleet
+from agent.interface.zenoh_bus import Network
 from deploy.faults import Faults
 
 VIEWER = "viewer"

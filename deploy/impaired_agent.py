@@ -4,9 +4,10 @@ import sys
 from functools import partial
 
 from agent.__main__ import main
-from agent.interface.bus import Bus, ZenohBus
+from agent.interface.bus import Bus
 from agent.interface.presence import RANDOM
 from agent.interface.process import Start, meet_agents
+from agent.interface.zenoh_bus import ZenohBus
 from deploy import faults
 from deploy.impaired_bus import ImpairedBus
 

@@ -9,7 +9,8 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from agent.interface import clock
-from agent.interface.bus import LEASE_S, BusError, Network, Token, ZenohBus
+from agent.interface.bus import BusError
+from agent.interface.zenoh_bus import LEASE_S, Network, Token, ZenohBus
 
 HERE, LINKED = "here", "linked"
 GRACE_S = LEASE_S + 0.5  # the tokens of a process that was killed or cut off may be seen so long

@@ -17,10 +17,11 @@ from typing import Any, NamedTuple, NoReturn
 
 import msgspec
 
-from agent.interface.bus import BusError, Network, ZenohBus
+from agent.interface.bus import BusError
 from agent.interface.fleet import Fleet
 from agent.interface.presence import LINKED, RANDOM, Claim, Presence, meet, occupant
 from agent.interface.tables import BadExperiment, parse_table
+from agent.interface.zenoh_bus import Network, ZenohBus
 
 READY = b"ready"  # what a process says on its standard output once it has met the others
 START_TIMEOUT_S = 60.0  # eight processes that import numpy at once on two busy cores took 25 s

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from agent.interface.bus import BusError, MemoryBus, Network, Packet, ZenohBus
+from agent.interface.bus import BusError, MemoryBus, Packet
+from agent.interface.zenoh_bus import Network, ZenohBus
 
 
 @pytest.fixture

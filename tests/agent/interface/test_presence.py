@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 from agent.interface import presence
-from agent.interface.bus import BusError, Network, ZenohBus
+from agent.interface.bus import BusError
 from agent.interface.presence import HERE, LINKED, RANDOM, AlreadyHere, Presence, meet, occupant
+from agent.interface.zenoh_bus import Network, ZenohBus
 
 pytestmark = pytest.mark.system
 FIRST, SECOND = RANDOM.start, RANDOM.start + 1
