@@ -19,11 +19,19 @@ from deploy.commands import BAD_INPUT, FAILED, FINE, INTERRUPTED, UNHEARD
 def main(words: list[str] | None = None) -> int:
     """Exit status: 0 it did what was asked, 1 it failed, 2 bad input, 130 Ctrl-C, 141 nobody reads what it says."""
     chosen = _parser().parse_args(words)
+    if sys.stdout is None:  # as in `swarm run line >&-`
+        sys.stdout = os.fdopen(_nowhere(), "w")
     try:
         return _listened_to(chosen)
-    except BrokenPipeError:  # as in `swarm run line | head -3`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what is still in its buffer
-        return UNHEARD
+    except OSError as error:
+        os.dup2(_nowhere(), sys.stdout.fileno())  # what is still in its buffer cannot be said
+        if isinstance(error, BrokenPipeError):  # as in `swarm run line | head -3`
+            return UNHEARD
+        return commands.complain(error, FAILED)  # a disk is full, say
+
+
+def _nowhere() -> int:
+    return os.open(os.devnull, os.O_WRONLY)
 
 
 def _listened_to(chosen: argparse.Namespace) -> int:

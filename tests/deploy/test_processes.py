@@ -146,3 +146,14 @@ def test_a_run_whose_output_nobody_reads_any_more_ends_at_once_and_without_a_wor
     assert swarm.returncode == 141
     assert read_log(tmp_path / "run" / "log.mcap").packets  # what was flown is there
     assert not [each for each in psutil.process_iter(["cmdline"]) if str(tmp_path) in (each.info["cmdline"] or [])]
+
+
+@pytest.mark.parametrize(
+    ("output", "status", "words"), [(">&-", 0, ""), (">/dev/full", 1, "swarm: [Errno 28] No space left on device\n")]
+)
+def test_a_run_that_cannot_say_anything_goes_on_or_says_why_not(
+    tmp_path: Path, output: str, status: int, words: str
+) -> None:
+    run = f"exec {sys.executable} -m deploy run line --in-process --set fleet.duration_s=0.5 --out {tmp_path / 'run'}"
+    ended = subprocess.run(["sh", "-c", f"{run} {output}"], stderr=subprocess.PIPE, text=True, check=False)
+    assert (ended.returncode, ended.stderr) == (status, words)
