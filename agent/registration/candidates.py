@@ -22,6 +22,7 @@ from agent.registration.window import Frame, carried
 RANGE_GATE, ELEVATION_GATE = 3.2, 3.5  # standard deviations of the two readings' difference
 LEAST_SUPPORT = 2  # distinct frames
 PER_MAV, MOST = 2, 24  # candidates of one MAV that are kept: so many per MAV of the team, at most so many
+ENOUGH = 600  # sightings of one MAV: where there are more, as in a regular formation, not all placed MAVs are asked
 
 
 @dataclass
@@ -55,6 +56,7 @@ class _Sightings:
     """Reciprocal pairs of detections, each with the pose it gives."""
 
     mav: npt.NDArray[np.intp]
+    base: npt.NDArray[np.intp]  # the placed MAV, by its rank among them
     frame: npt.NDArray[np.intp]
     poses: Array  # (S, 4)
     bearing: Array  # (S, 2) azimuth in the common frame, elevation: from the placed MAV
@@ -69,8 +71,10 @@ def candidates(
     every = _Sightings(*(np.concatenate([getattr(f, n) for f in found]) for n in _Sightings.__annotations__))
     clusters = []
     for j in missing:
-        clusters.append(_clustered(config, every, j, len(frames), min(PER_MAV * len(base.placed), MOST)))
-        yield 4000.0 + 0.9 * float((every.mav == j).sum()) ** 2
+        mine = every.mav == j
+        mine &= every.base % max(1, -(-int(mine.sum()) // ENOUGH)) == 0
+        clusters.append(_clustered(config, every, mine, len(frames), min(PER_MAV * len(base.placed), MOST)))
+        yield 4000.0 + 0.9 * float(mine.sum()) ** 2
     return Candidates(
         np.repeat(missing, [len(poses) for poses, _ in clusters]).astype(np.intp),
         np.concatenate([poses for poses, _ in clusters]),
@@ -98,12 +102,14 @@ def _reciprocal(config: AgentConfig, k: int, frames: list[Frame], base: Placemen
     poses[:, 3] = azimuth + np.pi - z_n[:, 1]
     mav = others[j]
     poses = carried(poses, frame.odometry[mav], newest.odometry[mav])
-    return _Sightings(mav, np.full(len(mav), k), poses, np.column_stack([azimuth, elevation]), distance)
+    rank = (np.cumsum(base.placed) - 1)[bases[b]]
+    return _Sightings(mav, rank, np.full(len(mav), k), poses, np.column_stack([azimuth, elevation]), distance)
 
 
-def _clustered(config: AgentConfig, every: _Sightings, mav: int, frames: int, most: int) -> tuple[Array, Array]:
-    """(C, 4) and (C, 4, 4): greedily the poses that sightings of most frames agree in."""
-    mine = every.mav == mav
+def _clustered(
+    config: AgentConfig, every: _Sightings, mine: npt.NDArray[np.bool_], frames: int, most: int
+) -> tuple[Array, Array]:
+    """(C, 4) and (C, 4, 4): greedily the poses that those of most frames agree in, of these sightings (S,)."""
     poses, frame, distance = every.poses[mine], every.frame[mine], every.distance[mine]
     line = direction(every.bearing[mine, 0], every.bearing[mine, 1])
     sigma, bearing = config.detector.range_sigma_m(distance), config.detector.bearing_sigma_rad

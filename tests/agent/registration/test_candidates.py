@@ -6,7 +6,7 @@ import pytest
 from agent.config import AgentConfig
 from agent.interface.frames import compose, direction, relative_pose, wrap
 from agent.interface.sensors import Detector, Odometry
-from agent.registration.candidates import candidates, seen_from_station
+from agent.registration.candidates import ENOUGH, candidates, seen_from_station
 from tests.agent.registration.beginning import exact, finished, hovering, placement, true_poses, window_of
 
 CONFIG = AgentConfig()
@@ -137,6 +137,16 @@ def test_who_is_placed_already_helps_to_find_the_next():
     assert not len(found_in(ticks, placement(truth, [True, False, False]), [2]).mav)
     found = found_in(ticks, placement(truth, [True, True, False]), [2])
     assert nearest(found, 2, truth[2])[0] < 1e-9
+
+
+def test_what_is_looked_for_costs_no_more_in_a_regular_circle_whose_places_are_all_alike():
+    """Of eleven placed MAVs each sees the last one in many places; a slice that took them all took seconds."""
+    angle = np.arange(12) * np.pi / 6
+    ticks = hovering(10, 12, 8, places=np.column_stack([2.7 * np.cos(angle), 2.7 * np.sin(angle), 0 * angle]))
+    truth, frames = true_poses(ticks[-1]), window_of(ticks).frames
+    placed = np.arange(12) < 11
+    assert max(candidates(CONFIG, frames, placement(truth, placed), [11])) < 1.5 * ENOUGH**2
+    assert nearest(found_in(ticks, placement(truth, placed), [11]), 11, truth[11])[0] < 0.2
 
 
 def test_whose_set_was_not_heard_is_left_out():
