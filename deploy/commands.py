@@ -83,7 +83,8 @@ def study(chosen: argparse.Namespace) -> int:
     for failure in done.failures:
         complain(failure, FAILED)
     if not done.summaries:
-        folder.rmdir()
+        with contextlib.suppress(OSError):  # somebody else has put something there
+            folder.rmdir()
     if done.interrupted:
         return complain(f"interrupted after {len(done.summaries)} of {len(wanted)} runs", INTERRUPTED)
     return FAILED if done.failures else FINE

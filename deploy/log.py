@@ -136,7 +136,7 @@ def read_log(path: Path) -> Log:
                     wall_s = float(record.metadata["wall_s"])
     except OSError as error:
         raise BadLog(f"{path}: {error.strerror}") from None
-    except (McapError, struct.error, zstandard.ZstdError, KeyError, ValueError):
+    except (McapError, struct.error, zstandard.ZstdError, KeyError, ValueError, OverflowError, MemoryError):
         pass  # the end is missing, or it is damaged: what comes before counts
     if origin is None:
         raise BadLog(f"{path}: not the log of a run")

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 LATER = ("position_1s_m", "position_1s_p95_m", "yaw_1s_rad", "yaw_1s_p95_rad")
@@ -14,7 +15,7 @@ LATER = ("position_1s_m", "position_1s_p95_m", "yaw_1s_rad", "yaw_1s_p95_rad")
 def print_results(summary: dict[str, Any], folder: Path) -> None:
     """The errors of one run beside those of the baselines, and where everything is."""
     title = f"{summary['experiment']}, seed {summary['seed']}: errors over all pairs of MAVs"
-    table = Table(title=title, title_justify="left")
+    table = Table(title=escape(title), title_justify="left")
     for heading in ("pose", "estimated by", "RMSE m", "RMSE deg", "final m", "final deg", "max m"):
         table.add_column(heading, justify="left" if heading in ("pose", "estimated by") else "right", no_wrap=True)
     rows = {"ours": summary, "clairvoyant": summary["clairvoyant"], "naive": summary["naive"]}
@@ -39,7 +40,7 @@ def print_results(summary: dict[str, Any], folder: Path) -> None:
         console.print(words, markup=False, soft_wrap=True)
     if summary["flight"]["formations"]:
         console.print(_flown(summary["flight"]), soft_wrap=True)
-    console.print(f"{folder} (errors: {folder / 'errors.png'})", soft_wrap=True)
+    console.print(f"{folder} (errors: {folder / 'errors.png'})", markup=False, soft_wrap=True)
 
 
 def _flown(flight: dict[str, Any]) -> str:
@@ -69,7 +70,7 @@ def print_study(study: dict[str, Any], folder: Path) -> None:
     console.print(
         _localisation(study["cells"], "Who was localised when, how often wrongly, and how well one second later")
     )
-    console.print(str(folder), soft_wrap=True)
+    console.print(str(folder), markup=False, soft_wrap=True)
 
 
 def _estimates(cells: list[dict[str, Any]], title: str) -> Table:

@@ -218,6 +218,12 @@ def test_a_run_in_one_process_that_breaks_off_says_why_and_is_scored(
     assert summary["relative"]["rmse_m"] is None  # nothing to be scored within two seconds
 
 
+def test_a_folder_is_shown_as_it_is_called(flown: Flown, capsys: pytest.CaptureFixture[str]) -> None:
+    assert flown.result.summary is not None
+    results.print_results(flown.result.summary, Path("x[bold]y[/bold]/[/i]z"))
+    assert "x[bold]y[/bold]/[/i]z (errors: " in capsys.readouterr().out
+
+
 def test_a_run_in_real_time_says_how_many_ticks_were_late(flown: Flown, capsys: pytest.CaptureFixture[str]) -> None:
     assert flown.result.summary is not None
     results.print_results(flown.result.summary, flown.folder)
