@@ -22,7 +22,9 @@ def main(words: list[str] | None = None) -> int:
     if sys.stdout is None:  # as in `swarm run line >&-`
         sys.stdout = os.fdopen(_nowhere(), "w")
     try:
-        return _listened_to(chosen)
+        status = _listened_to(chosen)
+        sys.stdout.flush()
+        return status
     except OSError as error:
         os.dup2(_nowhere(), sys.stdout.fileno())  # what is still in its buffer cannot be said
         if isinstance(error, BrokenPipeError):  # as in `swarm run line | head -3`
@@ -38,14 +40,11 @@ def _listened_to(chosen: argparse.Namespace) -> int:
     if chosen.command == "list":
         for name, description in bundled().items():
             print(f"{name:21} {description}")
-        sys.stdout.flush()
         return FINE
     for number in (signal.SIGTERM, signal.SIGHUP):  # they end a run as Ctrl-C does
         signal.signal(number, signal.default_int_handler)
     try:
-        status = _do(chosen)
-        sys.stdout.flush()
-        return status
+        return _do(chosen)
     except KeyboardInterrupt:
         return commands.complain("interrupted", INTERRUPTED)
 

@@ -82,9 +82,8 @@ def study(chosen: argparse.Namespace) -> int:
         results.print_study(content, folder)
     for failure in done.failures:
         complain(failure, FAILED)
-    if not done.summaries:
-        with contextlib.suppress(OSError):  # somebody else has put something there
-            folder.rmdir()
+    if not done.summaries and chosen.out is None:
+        folder.rmdir()
     if done.interrupted:
         return complain(f"interrupted after {len(done.summaries)} of {len(wanted)} runs", INTERRUPTED)
     return FAILED if done.failures else FINE

@@ -10,6 +10,7 @@ from typing import Protocol, Self
 
 from rich.console import Console
 from rich.live import Live
+from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
@@ -71,14 +72,16 @@ class OnTerminal(Quiet):
     def __init__(self, title: str) -> None:
         self._title, self._pace = title, Pace()
         # No refresh thread of its own: a process's parent is the thread that started it.
-        self._live = Live(f"{title}: starting", console=Console(highlight=False), auto_refresh=False, transient=True)
+        self._live = Live(
+            escape(f"{title}: starting"), console=Console(highlight=False), auto_refresh=False, transient=True
+        )
 
     def show(self, progress: Progress) -> None:
         caption = f"{progress.sim_s:.1f} of {progress.of_s:g} s, {self._pace.words(progress)}"
         self._live.update(as_table(progress, self._title, caption), refresh=True)
 
     def say(self, words: str) -> None:
-        self._live.console.print(words)
+        self._live.console.print(words, markup=False)
 
     def __enter__(self) -> Self:
         self._live.start(refresh=True)
@@ -112,7 +115,7 @@ def in_words(progress: Progress) -> str:
 
 def as_table(progress: Progress, title: str, caption: str) -> Table:
     """One row per agent; the reasons take the width that is left, if there are any."""
-    table = Table(title=title, caption=caption, title_justify="left", caption_justify="left")
+    table = Table(title=escape(title), caption=caption, title_justify="left", caption_justify="left")
     neighbours = any(mav.stale or mav.gone or mav.holding for mav in progress.mavs)
     headings = ("MAV", "state", "localised", "relative error", "lost", "tick", *(["neighbours"] if neighbours else []))
     for heading in headings:

@@ -9,6 +9,7 @@ It works in hover, from one instant; j's odometry carries it to the newest frame
 are clustered.
 """
 
+import math
 from collections.abc import Generator
 from dataclasses import dataclass
 
@@ -72,7 +73,8 @@ def candidates(
     clusters = []
     for j in missing:
         mine = every.mav == j
-        mine &= every.base % max(1, -(-int(mine.sum()) // ENOUGH)) == 0
+        every_so_many = max(1, math.ceil(mine.sum() / ENOUGH))
+        mine &= every.base % every_so_many == 0
         clusters.append(_clustered(config, every, mine, len(frames), min(PER_MAV * len(base.placed), MOST)))
         yield 4000.0 + 0.9 * float(mine.sum()) ** 2
     return Candidates(

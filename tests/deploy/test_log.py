@@ -140,3 +140,18 @@ def test_a_damaged_log_gives_what_came_before(tmp_path: Path) -> None:
     log = read_log(path)
     assert log.packets == packets[: len(log.packets)]
     assert 50 <= len(log.packets) < 400
+
+
+def test_a_chunk_of_a_length_that_no_file_has_ends_the_log(tmp_path: Path) -> None:
+    path, packets = flushed_log(tmp_path)
+    whole = bytearray(path.read_bytes())
+    at = 8  # after the magic: records of a code, a length and so many bytes
+    while at < 2 * len(whole) // 5 or whole[at] != 0x06:  # a chunk
+        at += 9 + int.from_bytes(whole[at + 1 : at + 9], "little")
+    at += 9 + 8 + 8 + 8 + 4  # its times, size and checksum, then how it is compressed, then the length of its records
+    at += 4 + int.from_bytes(whole[at : at + 4], "little")
+    whole[at : at + 8] = bytes([0xFF]) * 8
+    path.write_bytes(whole)
+    log = read_log(path)
+    assert log.packets == packets[: len(log.packets)]
+    assert 50 <= len(log.packets) < 400

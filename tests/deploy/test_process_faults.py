@@ -69,9 +69,9 @@ class Watching(Quiet):
     """Stops the world once, lets it go on when it must notice and all agents hold, and ends the run when none does."""
 
     def __init__(self) -> None:
-        self.stopped_s = 0.0
+        self.stopped_s: float | None = None
         self.before = psutil.Process().children(recursive=True)
-        self.held = self.stopped = self.went_on = False
+        self.held = self.went_on = False
 
     def children(self) -> list[psutil.Process]:
         return [child for child in psutil.Process().children(recursive=True) if child not in self.before]
@@ -81,10 +81,10 @@ class Watching(Quiet):
         return world
 
     def show(self, progress: Progress) -> None:
-        if progress.sim_s > 0.2 and not self.stopped:
-            self.stopped, self.stopped_s = True, clock.now_s()
+        if progress.sim_s > 0.2 and self.stopped_s is None:
+            self.stopped_s = clock.now_s()
             self.world().send_signal(signal.SIGSTOP)
-        long = clock.now_s() > self.stopped_s + STOOD_STILL_S + 0.5
+        long = self.stopped_s is not None and clock.now_s() > self.stopped_s + STOOD_STILL_S + 0.5
         if long and all(mav.holding for mav in progress.mavs) and not self.held:
             self.held = True
             self.world().send_signal(signal.SIGCONT)

@@ -259,3 +259,12 @@ def test_a_study_that_makes_no_sense_is_refused(
     assert main(["study", "line", "--seeds", "0:1", "--out", str(tmp_path / "new"), *more]) == 2
     assert says in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
+
+
+def test_a_study_without_a_result_leaves_the_folder_that_it_was_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nothing = study.Study([], ["seed 0: it broke"], False)
+    monkeypatch.setattr(study, "run_all", lambda *_: nothing)
+    assert main(["study", "line", "--seeds", "0:1", "--out", str(tmp_path)]) == 1
+    assert tmp_path.exists()

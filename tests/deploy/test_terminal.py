@@ -93,6 +93,12 @@ def drawn(shown: Progress, width: int) -> str:
     return file.getvalue()
 
 
+def test_a_title_is_shown_as_it_is() -> None:
+    file = io.StringIO()
+    Console(file=file, width=90).print(terminal.as_table(progress(SURE), "x[bold]y[/i]", "caption"))
+    assert "x[bold]y[/i]" in file.getvalue()
+
+
 def test_as_a_table_reasons_take_the_room_there_is() -> None:
     text = drawn(progress(LOST, TORN, SURE), 90)
     assert [line for line in text.splitlines() if "ambiguous" in line] == [
