@@ -27,8 +27,12 @@ class Filter(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError(f"P_G = {self.P_G}: expected a probability between 0 and 1, both excluded")
         if not 0 <= self.pruned_mass < 0.1:
             raise ValueError(f"pruned_mass = {self.pruned_mass}: expected 0 to 0.1")
-        if not (0 < self.odometry_sigma_m < 1 and 0 < self.odometry_sigma_rad < 1):
-            raise ValueError("odometry_sigma_m, odometry_sigma_rad: expected between 0 and 1 (m, rad)")
+        for name, value, unit in (
+            ("odometry_sigma_m", self.odometry_sigma_m, "m"),
+            ("odometry_sigma_rad", self.odometry_sigma_rad, "rad"),
+        ):
+            if not 1e-6 <= value <= 1:  # finer, and the covariances lose their last digits
+                raise ValueError(f"{name} = {value!r}: expected 1e-06 to 1 {unit}")
 
 
 class Registration(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -20,8 +20,8 @@ class Survey(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def __post_init__(self) -> None:
         for name, value in (("position_sigma_m", self.position_sigma_m), ("yaw_sigma_rad", self.yaw_sigma_rad)):
-            if not 0 < value < 100:
-                raise ValueError(f"{name} = {value!r}: expected between 0 and 100, both excluded")
+            if not 1e-6 <= value <= 100:
+                raise ValueError(f"{name} = {value!r}: expected 1e-06 to 100")
 
 
 class WorldConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -21,14 +21,18 @@ class Detector(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     fov_elevation_rad: float = math.pi  # full width about the horizontal
 
     def __post_init__(self) -> None:
+        # The floors are far below any sensor there is; much finer, and the filter's covariances lose their last digits.
         _require("P_D", self.P_D, 0 < self.P_D < 1, "a probability between 0 and 1, both excluded")
-        _require("false_per_set", self.false_per_set, 0 < self.false_per_set <= 100, "between 0 (excluded) and 100")
-        _require("bearing_sigma_rad", self.bearing_sigma_rad, 0 < self.bearing_sigma_rad < 1, "between 0 and 1 rad")
-        _require("range_sigma_slope", self.range_sigma_slope, 0 <= self.range_sigma_slope < 1, "between 0 and 1")
-        _require("range_sigma_offset_m", self.range_sigma_offset_m, 0 < self.range_sigma_offset_m < 10, "0 to 10 m")
-        _require("max_range_m", self.max_range_m, 0 < self.max_range_m <= 1000, "between 0 and 1000 m")
-        _require("fov_azimuth_rad", self.fov_azimuth_rad, 0 < self.fov_azimuth_rad <= 2 * math.pi, "0 to 2 pi rad")
-        _require("fov_elevation_rad", self.fov_elevation_rad, 0 < self.fov_elevation_rad <= math.pi, "0 to pi rad")
+        for name, value, least, most, unit in (
+            ("false_per_set", self.false_per_set, 1e-6, 100, ""),
+            ("bearing_sigma_rad", self.bearing_sigma_rad, 1e-4, 1, " rad"),
+            ("range_sigma_slope", self.range_sigma_slope, 0, 1, ""),
+            ("range_sigma_offset_m", self.range_sigma_offset_m, 1e-4, 10, " m"),
+            ("max_range_m", self.max_range_m, 0.1, 1000, " m"),
+            ("fov_azimuth_rad", self.fov_azimuth_rad, 0.01, 2 * math.pi, " rad"),
+            ("fov_elevation_rad", self.fov_elevation_rad, 0.01, math.pi, " rad"),
+        ):
+            _require(name, value, least <= value <= most, f"{least:g} to {most:g}{unit}")
 
     def range_sigma_m(self, distance_m: Array) -> Array:
         """Standard deviation of the measured range at true distances (...), m."""

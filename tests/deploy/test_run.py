@@ -218,6 +218,16 @@ def test_a_run_in_one_process_that_breaks_off_says_why_and_is_scored(
     assert summary["relative"]["rmse_m"] is None  # nothing to be scored within two seconds
 
 
+def test_the_finest_sensors_are_flown_and_scored() -> None:
+    """At every floor at once: sensors that are so, and ordinary ones that are only believed to be."""
+    detector = ("bearing_sigma_rad=1e-4", "range_sigma_offset_m=1e-4", "range_sigma_slope=0.0", "false_per_set=1e-6")
+    reading = ("agent.filter.odometry_sigma_m=1e-6", "agent.filter.odometry_sigma_rad=1e-6")
+    start = ("fleet.duration_s=2.5", "world.survey={position_sigma_m=1e-6, yaw_sigma_rad=1e-6}")
+    for table in ("world", "agent"):
+        changes = (*SMALL, *start, *reading, *(f"{table}.detector.{each}" for each in detector))
+        assert study.run_one(study.Job(EXPERIMENT, changes, {}, 5))["relative"]["rmse_m"] < 1
+
+
 def test_a_folder_is_shown_as_it_is_called(flown: Flown, capsys: pytest.CaptureFixture[str]) -> None:
     assert flown.result.summary is not None
     results.print_results(flown.result.summary, Path("x[bold]y[/bold]/[/i]z"))

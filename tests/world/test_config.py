@@ -62,7 +62,7 @@ def test_defaults_are_the_papers() -> None:
         ({"path": [CIRCLE | {"hold_s": "long"}]}, r"world.path\[0\].hold_s = 'long': expected float, got str"),
         ({"path": [CIRCLE, CIRCLE | {"radius_m": 0.1, "move_s": 5.0}]}, r"world.path\[1\]: when there MAVs"),
         (PATH | {"detector": {"P_D": 2.0}}, "world.detector.* = 2.0: expected a probability"),
-        (PATH | {"survey": {"yaw_sigma_rad": 0.0}}, "world.survey.*yaw_sigma_rad = 0.0: expected between 0 and 100"),
+        (PATH | {"survey": {"yaw_sigma_rad": 0.0}}, "world.survey.*yaw_sigma_rad = 0.0: expected 1e-06 to 100"),
         (PATH | {"start_yaw": "north"}, "world.start_yaw = 'north': invalid enum value"),
         ({"flights": [{"truth": "a"}]}, r"world.flights\[0\].vio: this key is required"),
         ({"flights": [{"truth": "a", "vio": "b"}]}, "world.flights: 1 flights, expected 7"),

@@ -134,7 +134,7 @@ def test_order_tells_nothing() -> None:
 
 
 def test_the_field_of_view_turns_with_the_rolled_and_pitched_body() -> None:
-    detector = Detector(P_D=0.999, false_per_set=1e-9, **LOOK_ALONG_X)
+    detector = Detector(P_D=0.999, false_per_set=1e-6, **LOOK_ALONG_X)
     targets = [[0, 0, 0], [5, 0, 0], [5, 5, 0], [-5, 0, 0], [5, 0, 4], [13, 0, 0]]  # ahead, left, behind, above, far
     for quaternion, seen in (
         (LEVEL, {2, 3}),

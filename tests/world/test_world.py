@@ -91,7 +91,7 @@ def test_nothing_of_the_truth_is_on_what_agents_may_read() -> None:
 def test_readings_are_of_the_true_poses() -> None:
     exact = {"odometry": {"position_sigma_m": 0.0, "yaw_sigma_rad": 0.0}}
     sharp = {
-        "detector": {"P_D": 0.999, "bearing_sigma_rad": 1e-6, "range_sigma_slope": 0.0, "range_sigma_offset_m": 1e-6}
+        "detector": {"P_D": 0.999, "bearing_sigma_rad": 1e-4, "range_sigma_slope": 0.0, "range_sigma_offset_m": 1e-4}
     }
     heard = by_topic(fly(**exact, **sharp))
     position = np.array([[messages.floats(each.position) for each in heard["truth", mav]] for mav in FLEET.ids])
@@ -110,7 +110,7 @@ def test_readings_are_of_the_true_poses() -> None:
             for seen, target in zip(detections, heard["labels", mav][tick].targets, strict=True):
                 if target:
                     apart = (position[target - 1, tick] - position[i, tick]) @ rotation
-                    np.testing.assert_allclose(seen, range_and_bearing(apart), atol=1e-4)
+                    np.testing.assert_allclose(seen, range_and_bearing(apart), atol=1e-3)
 
 
 def test_the_survey_is_rough_and_exact_about_oneself() -> None:

@@ -25,7 +25,7 @@ from tests.agent.registration.beginning import (
 )
 
 RATE_HZ = 10.0
-PRECISE = FilterConfig(odometry_sigma_m=1e-7, odometry_sigma_rad=1e-7)
+PRECISE = FilterConfig(odometry_sigma_m=1e-6, odometry_sigma_rad=1e-6)
 
 
 def random_covariance(rng, n, sigma):
