@@ -45,21 +45,21 @@ def _listened_to(chosen: argparse.Namespace) -> int:
         signal.signal(number, signal.default_int_handler)
     try:
         return _do(chosen)
-    except KeyboardInterrupt:
-        return commands.complain("interrupted", INTERRUPTED)
+    except KeyboardInterrupt as interrupt:
+        return commands.complain("; ".join(("interrupted", *interrupt.args)), INTERRUPTED)
 
 
 def _do(chosen: argparse.Namespace) -> int:
     from agent.interface.tables import BadExperiment
     from deploy.log import BadLog
-    from deploy.run import NothingRecorded
+    from deploy.run import NothingRecorded, NotScored
     from deploy.view.window import NoWindow
 
     try:
         return int(chosen.do(chosen))
     except (BadExperiment, BadLog) as error:
         return commands.complain(error, BAD_INPUT)
-    except (NothingRecorded, NoWindow) as error:
+    except (NothingRecorded, NotScored, NoWindow) as error:
         return commands.complain(error, FAILED)
 
 

@@ -1,9 +1,11 @@
 """What does `swarm run` do? It makes the run folder, flies, records, scores and writes everything down."""
 
+import contextlib
 import secrets
 import signal
 import tempfile
 import traceback
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -31,11 +33,15 @@ EPOCHS = range(2**30, 2**31)  # the messages of all runs are of the same length,
 
 class Result(NamedTuple):
     outcome: Outcome
-    summary: dict[str, Any] | None  # None: nothing was recorded
+    summary: dict[str, Any] | None  # None: nothing was recorded, or it could not be scored
 
 
 class NothingRecorded(Exception):
     """The log holds no tick of the run."""
+
+
+class NotScored(Exception):
+    """There is a recording, but scoring it failed; the message says why, and where the log is."""
 
 
 def folder_for(experiment: str, out: Path | None) -> Path:
@@ -81,6 +87,9 @@ def run(
         return Result(outcome, score(folder))
     except (NothingRecorded, BadLog):
         return Result(outcome, None)
+    except NotScored as error:
+        words = str(error) if outcome.failure is None else f"{outcome.failure}; {error}"
+        return Result(Outcome(words, outcome.interrupted), None)
 
 
 class Scored(NamedTuple):
@@ -120,18 +129,40 @@ def score(folder: Path) -> dict[str, Any]:
 
     Raises:
         BadLog, BadExperiment, NothingRecorded: as `scored` does.
+        NotScored: it failed in another way.
+        KeyboardInterrupt: with words that say how to go on.
     """
-    from deploy import report, summary, tum
-    from deploy.formation_figure import draw_formation
+    with _recording_is_kept(folder):
+        from deploy import report, summary, tum
+        from deploy.formation_figure import draw_formation
 
-    analysis, circumstances, experiment, _ = scored(folder)
-    content = summary.summarise(analysis, circumstances)
-    (folder / "summary.json").write_text(summary.to_json(content))
-    tum.export(analysis.recording, folder)
-    report.draw_errors(analysis, experiment.name, folder / "errors.png")
-    if analysis.shapes is not None:
-        draw_formation(analysis, experiment.name, folder / "formation.png")
+        analysis, circumstances, experiment, _ = scored(folder)
+        content = summary.summarise(analysis, circumstances)
+        (folder / "summary.json").write_text(summary.to_json(content))
+        tum.export(analysis.recording, folder)
+        report.draw_errors(analysis, experiment.name, folder / "errors.png")
+        if analysis.shapes is not None:
+            draw_formation(analysis, experiment.name, folder / "formation.png")
     return content
+
+
+@contextlib.contextmanager
+def _recording_is_kept(folder: Path) -> Iterator[None]:
+    """However scoring ends, it is said where the recording is and how to score it."""
+    try:
+        yield
+    except (BadLog, BadExperiment, NothingRecorded, OSError):  # they say it all
+        raise
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"{folder} is not scored yet, `swarm score {folder}` does it") from None
+    except Exception as error:
+        log = folder / "logs" / "scoring.txt"
+        log.parent.mkdir(exist_ok=True)
+        log.write_text(traceback.format_exc())
+        last = f"{type(error).__name__}: {error}".splitlines()[0]
+        raise NotScored(
+            f"{folder} could not be scored: {last} (log: {log}); `swarm score {folder}` tries again"
+        ) from None
 
 
 def _processes(

@@ -11,7 +11,8 @@ import pytest
 
 from agent.interface import messages
 from agent.interface.bus import Packet
-from deploy import composition, results, study
+from deploy import composition, report, results, study
+from deploy import run as run_module
 from deploy.__main__ import main
 from deploy.experiment import Experiment, load
 from deploy.log import LogWriter, Origin, read_log
@@ -216,6 +217,49 @@ def test_a_run_in_one_process_that_breaks_off_says_why_and_is_scored(
     assert summary is not None
     assert summary["ticks"] == 20
     assert summary["relative"]["rmse_m"] is None  # nothing to be scored within two seconds
+
+
+def breaking(error: BaseException) -> Callable[..., None]:
+    def broken(*_: object) -> None:
+        raise error
+
+    return broken
+
+
+def test_a_scoring_that_fails_is_one_line_and_the_recording_is_kept(
+    flown: Flown, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(report, "draw_errors", breaking(np.linalg.LinAlgError("singular\nor so")))
+    (tmp_path / "log.mcap").write_bytes((flown.folder / "log.mcap").read_bytes())
+    log = tmp_path / "logs" / "scoring.txt"
+    said = f"{tmp_path} could not be scored: LinAlgError: singular (log: {log}); `swarm score {tmp_path}` tries again"
+    assert main(["score", str(tmp_path)]) == 1
+    assert capsys.readouterr().err == f"swarm: {said}\n"
+    assert "Traceback" in log.read_text()
+    monkeypatch.undo()
+    assert main(["score", str(tmp_path)]) == 0
+
+
+@pytest.mark.parametrize("how", [None, "it broke"])
+def test_a_run_whose_scoring_fails_has_failed(
+    how: str | None, flown: Flown, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run_module, "_in_process", lambda *_: Outcome(failure=how))
+    monkeypatch.setattr(run_module, "scored", breaking(FloatingPointError("overflow")))
+    outcome, summary = run(flown.experiment, tmp_path, True, Quiet())
+    assert outcome.failure is not None
+    assert outcome.failure.startswith(f"{tmp_path} could" if how is None else f"it broke; {tmp_path} could")
+    assert "could not be scored: FloatingPointError: overflow (log: " in outcome.failure
+    assert summary is None
+
+
+def test_who_interrupts_the_scoring_is_told_how_to_go_on(
+    flown: Flown, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(run_module, "scored", breaking(KeyboardInterrupt()))
+    assert main(["score", str(tmp_path)]) == 130
+    said = f"swarm: interrupted; {tmp_path} is not scored yet, `swarm score {tmp_path}` does it\n"
+    assert capsys.readouterr().err == said
 
 
 def test_the_finest_sensors_are_flown_and_scored() -> None:
