@@ -16,7 +16,7 @@ import msgspec
 
 from agent.interface.tables import BadExperiment
 from deploy import fleet
-from deploy.experiment import Experiment
+from deploy.experiment import UNREADABLE, Experiment
 from deploy.fleet import Place, Process
 from deploy.leash import die_with
 from deploy.progress import Progress
@@ -36,7 +36,7 @@ def places(path: Path, experiment: Experiment) -> dict[str, Place]:
         raise BadExperiment("faults.processes: expected none, by hand nobody carries them out (`swarm run` does)")
     try:
         table = tomllib.loads(path.read_text())
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, *UNREADABLE) as error:
         raise BadExperiment(f"--network {path}: cannot be read as TOML: {error}") from None
     known = fleet.names(experiment.fleet)
     for name in known:

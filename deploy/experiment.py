@@ -19,6 +19,10 @@ from deploy.faults import Faults
 TABLES = ("world", "agent", "fleet", "faults")
 RECORD = "record"  # in a resolved file: what it was made from and with; ignored by every program
 INHERITED = {"detector": Detector, "odometry": Odometry}  # an agent knows its sensors unless it is told otherwise
+UNREADABLE = (
+    ValueError,
+    RecursionError,
+)  # not TOML, not UTF-8, a number of thousands of digits; arrays in arrays in ...
 VERSIONS = ("swarm-cpdaf", "numpy", "scipy", "mujoco", "msgspec", "eclipse-zenoh")
 
 
@@ -72,7 +76,7 @@ def from_text(resolved: str) -> Experiment:
     """
     try:
         return _resolve(*_tables(resolved, "unnamed"))
-    except tomllib.TOMLDecodeError as error:
+    except UNREADABLE as error:
         raise BadExperiment(f"cannot be read as TOML: {error}") from None
 
 
@@ -90,12 +94,16 @@ def _read(source: str) -> tuple[str, dict[str, Any]]:
         )
     try:
         return _tables(path.read_text(), path.stem)
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, *UNREADABLE) as error:
         raise BadExperiment(f"{source}: cannot be read as TOML: {error}") from None
 
 
 def _tables(text: str, name: str) -> tuple[str, dict[str, Any]]:
-    """The tables of an experiment file and the experiment's name, which a resolved file knows itself."""
+    """The tables of an experiment file and the experiment's name, which a resolved file knows itself.
+
+    Raises:
+        BadExperiment: there are other tables, or no folder can have the name.
+    """
     tables = tomllib.loads(text)
     record = tables.pop(RECORD, {})
     for table, content in tables.items():
@@ -104,7 +112,11 @@ def _tables(text: str, name: str) -> tuple[str, dict[str, Any]]:
         if not isinstance(content, dict):
             raise BadExperiment(f"{table} = {content!r}: expected a table, [{table}]")
     known = record.get("experiment") if isinstance(record, dict) else None
-    return (known if isinstance(known, str) and known else name), tables
+    if isinstance(known, str) and known:
+        name = known
+    if re.search("[/\0\ud800-\udfff]", name):
+        raise BadExperiment(f"{name!r}: no experiment can be called that, expected UTF-8 without / and NUL")
+    return name, tables
 
 
 def _apply(tables: dict[str, Any], change: str) -> None:
@@ -128,7 +140,7 @@ def _apply(tables: dict[str, Any], change: str) -> None:
 
 
 def _element(array: list[Any], step: str, change: str) -> Any:
-    if not step.isdecimal() or int(step) >= len(array):
+    if not re.fullmatch("[0-9]{1,9}", step) or int(step) >= len(array):
         raise BadExperiment(f"--set {change}: {step!r} of an array: expected a number, 0 to {len(array) - 1}")
     return array[int(step)]
 
@@ -136,11 +148,15 @@ def _element(array: list[Any], step: str, change: str) -> Any:
 def value(text: str, change: str) -> Any:
     """A TOML value; what is not one is text."""
     try:
-        return tomllib.loads(f"value = {text}")["value"]
+        change.encode()
+        tables = tomllib.loads(f"value = {text}")
     except tomllib.TOMLDecodeError as error:
         if text == "" or text[0] in "[{\"'" or "\n" in text:
             raise BadExperiment(f"--set {change}: not a TOML value: {error}") from None
         return text
+    except UNREADABLE as error:
+        raise BadExperiment(f"--set {change}: not a TOML value: {error}") from None
+    return tables["value"]
 
 
 def _inherit(world: dict[str, Any], agent: dict[str, Any]) -> dict[str, Any]:

@@ -39,6 +39,8 @@ def read_track(path: Path, where: str) -> Track:
         raise BadExperiment(f"{where}: cannot read {path}: {error.strerror}") from None
     except UnicodeDecodeError:
         raise BadExperiment(f"{where}: {path} is not a text file") from None
+    except ValueError as error:  # as of a NUL in its name
+        raise BadExperiment(f"{where}: cannot read {str(path)!r}: {error}") from None
     table = np.array(rows).reshape(-1, 8)
     length = np.linalg.norm(table[:, 4:], axis=1, keepdims=True)
     for wrong, what in (

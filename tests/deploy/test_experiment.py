@@ -67,6 +67,10 @@ def test_a_resolved_file_is_an_experiment_that_resolves_to_itself(tmp_path: Path
         (["line", "--set", "fleet.mavs=[3"], "--set fleet.mavs=[3: not a TOML value"),
         (["line", "--set", "fleet.mavs.x=3"], "--set fleet.mavs.x=3: mavs = 7 is not a table"),
         (["line", "--set", "world.path.7.hold_s=3"], "--set world.path.7.hold_s=3: '7' of an array: expected a number"),
+        (["line", "--set", f"world.path.{'9' * 5000}.hold_s=3"], "9' of an array: expected a number, 0 to 4"),
+        (["line", "--set", f"fleet.seed={'9' * 5000}"], "9: not a TOML value: Exceeds the limit (4300 digits)"),
+        (["line", "--set", f"fleet.seed={'[' * 3000}"], "[: not a TOML value: "),
+        (["line", "--set", f"fleet.rate_hz={'9' * 400}"], "9: number out of range"),
         (["line", "--set", "fleet.mvs=3"], "fleet.mvs: there is no such key"),
         (["line", "--set", "fleet.mavs=many"], "fleet.mavs = 'many': expected int, got str"),
         (["line", "--set", "fleet.mavs=500"], "mavs = 500: expected 1 to 50"),
@@ -78,6 +82,10 @@ def test_a_resolved_file_is_an_experiment_that_resolves_to_itself(tmp_path: Path
         (["line", "--set", "faults.los=0.3"], "faults.los: there is no such key"),
         (["line", "--realtime", "--in-process"], "fleet.realtime = true: in one process there is no real time"),
         (["recorded_flights"], "world.flights_dir"),
+        (
+            ["recorded_flights", "--set", r'world.flights_dir="a\u0000b"'],
+            r"cannot read 'a\x00b/gt_V2_01.txt': embedded",
+        ),
     ],
 )
 def test_bad_input_is_one_line_and_starts_nothing(
@@ -101,7 +109,15 @@ def test_bad_input_is_one_line_and_starts_nothing(
         ("fleet = 3", "fleet = 3: expected a table, [fleet]"),
         ("[wrld]\nx = 1", "wrld: there is no such table; expected world, agent, fleet, faults"),
         ("[fleet\n", "cannot be read as TOML"),
+        (f"[fleet]\nseed = {'9' * 5000}", "cannot be read as TOML: Exceeds the limit (4300 digits)"),
+        (f"[fleet]\nseed = {'[' * 3000}", "cannot be read as TOML: "),
+        (
+            '[record]\nexperiment = "a/../../b"',
+            "'a/../../b': no experiment can be called that, expected UTF-8 without /",
+        ),
+        ('[record]\nexperiment = "a\\u0000b"', "'a\\x00b': no experiment can be called that"),
     ],
+    ids=lambda words: words[:40],
 )
 def test_a_bad_file(text: str, complaint: str, tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
@@ -109,6 +125,17 @@ def test_a_bad_file(text: str, complaint: str, tmp_path: Path) -> None:
     with pytest.raises(BadExperiment) as caught:
         load(str(path))
     assert complaint in str(caught.value)
+    with pytest.raises(BadExperiment):
+        from_text(text)
+
+
+def test_what_is_not_utf_8_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadExperiment, match="not a TOML value: 'utf-8' codec can't encode"):
+        load("line", ["fleet.se\udcffd=1"])
+    path = tmp_path / "mine\udcff.toml"
+    path.write_text("")
+    with pytest.raises(BadExperiment, match="no experiment can be called that, expected UTF-8"):
+        load(str(path))
 
 
 def test_out_must_be_new_or_empty(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
