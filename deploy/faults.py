@@ -14,6 +14,7 @@ from agent.interface.fleet import Fleet
 from agent.interface.tables import BadExperiment, parse_table
 
 LONGEST_S = 60.0  # of any one delay
+LONGEST_RUN_S = 86400.0
 
 TopicName = Literal["odometry", "detections"]
 Verb = Literal["kill", "stop", "continue", "restart", "join"]
@@ -49,7 +50,7 @@ class Conditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_d
         for name in ("delay_ms", "jitter_ms"):
             value = getattr(self, name)
             _require(name, value, 0 <= value <= 1000 * LONGEST_S, f"0 to {1000 * LONGEST_S:g} ms")
-        _require("bandwidth_bytes_s", self.bandwidth_bytes_s, self.bandwidth_bytes_s > 0, "more than 0 bytes/s")
+        _require("bandwidth_bytes_s", self.bandwidth_bytes_s, self.bandwidth_bytes_s >= 1, "1 or more bytes/s")
         _require("topics", list(self.topics), len(set(self.topics)) == len(self.topics) > 0, "one or both, once each")
 
     @property
@@ -110,7 +111,7 @@ class ProcessFault(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     at_s: float
 
     def __post_init__(self) -> None:
-        _require("at_s", self.at_s, 0 <= self.at_s < math.inf, "0 or more s")
+        _require("at_s", self.at_s, 0 <= self.at_s <= LONGEST_RUN_S, f"0 to {LONGEST_RUN_S:g} s")
 
     def tick(self, fleet: Fleet) -> int:
         """Before which tick it happens: the first at or after its time."""
@@ -160,8 +161,11 @@ def parse(table: dict[str, Any], fleet: Fleet) -> Faults:
     for n, partition in enumerate(faults.partitions):
         for group in partition.groups:
             _known(f"faults.partitions[{n}].groups", group, fleet)
-        if partition.kept and partition.until_s == math.inf:
-            raise BadExperiment(f"faults.partitions[{n}].kept = True: expected until_s, when what was kept arrives")
+        if partition.kept and partition.until_s > LONGEST_RUN_S:
+            raise BadExperiment(
+                f"faults.partitions[{n}].kept = True: expected until_s, when what was kept arrives, "
+                f"at most {LONGEST_RUN_S:g} s"
+            )
     for n, fault in enumerate(faults.processes):
         _known(f"faults.processes[{n}].mav", (fault.mav,), fleet)
         if fault.tick(fleet) >= fleet.ticks:
@@ -202,5 +206,5 @@ def _require(name: str, value: object, holds: bool, expected: str) -> None:
 
 
 def _require_span(from_s: float, until_s: float) -> None:
-    _require("from_s", from_s, 0 <= from_s < math.inf, "0 or more s")
+    _require("from_s", from_s, 0 <= from_s <= LONGEST_RUN_S, f"0 to {LONGEST_RUN_S:g} s")
     _require("until_s", until_s, until_s > from_s, f"after from_s = {from_s:g} s")
