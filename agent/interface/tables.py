@@ -1,7 +1,8 @@
 """How does a program read its table of the experiment file? With exact errors: which key, what was expected."""
 
 import re
-from typing import Any, TypeVar
+from types import UnionType
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -21,10 +22,10 @@ def parse_table(kind: type[T], table: dict[str, Any], name: str) -> T:
     try:
         return msgspec.convert(table, kind, strict=True)
     except msgspec.ValidationError as error:
-        raise BadExperiment(_readable(str(error), table, name)) from None
+        raise BadExperiment(_readable(str(error), kind, table, name)) from None
 
 
-def _readable(text: str, table: dict[str, Any], name: str) -> str:
+def _readable(text: str, kind: type, table: dict[str, Any], name: str) -> str:
     """msgspec's "Expected `float`, got `str` - at `$.detector.P_D`" as "agent.detector.P_D = 'high': expected ..."."""
     what, _, where = text.partition(" - at `$")
     path = where.rstrip("`")
@@ -36,8 +37,25 @@ def _readable(text: str, table: dict[str, Any], name: str) -> str:
         return f"{name}{path}.{missing[1]}: this key is required"
     if re.match(r"\w+ = ", what):  # said by a struct's own check, which names the key and the value
         return f"{name}{path}.{what}"
+    steps = re.findall(r"[^.\[\]]+", path)
     value: Any = table
-    for step in re.findall(r"[^.\[\]]+", path):
+    for step in steps:
         value = value[int(step)] if isinstance(value, list) else value.get(step)
     shown = "" if isinstance(value, dict | list) else f" = {value!r}"
+    if what.startswith("Invalid enum value"):
+        return f"{name}{path}{shown}: expected {' or '.join(_choices(kind, steps))}"
     return f"{name}{path}{shown}: {what[0].lower()}{what[1:].replace('`', '')}"
+
+
+def _choices(kind: Any, steps: list[str]) -> list[str]:
+    """What a value of this type, or of that to which the steps lead in it, may be; only literals and tables count."""
+    origin = get_origin(kind)
+    if origin in (Union, UnionType):
+        return [choice for each in get_args(kind) for choice in _choices(each, steps)]
+    if origin is Literal:
+        return [] if steps else [repr(each) for each in get_args(kind)]
+    if steps and origin is tuple:  # its elements are all alike
+        return _choices(get_args(kind)[0], steps[1:])
+    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+        return _choices(get_type_hints(kind)[steps[0]], steps[1:]) if steps else ["a table"]
+    return []

@@ -27,6 +27,11 @@ from agent.interface.tables import BadExperiment, parse_table
         ({"filter": {"pruned_mass": 0.5}}, "pruned_mass = 0.5: expected"),
         ({"filter": {"odometry_sigma_m": 1e-200}}, "agent.filter.odometry_sigma_m = 1e-200: expected 1e-06 to 1 m"),
         ({"filter": {"odometry_sigma_rad": 0.0}}, "agent.filter.odometry_sigma_rad = 0.0: expected 1e-06 to 1 rad"),
+        ({"mission": {"legs": [], "about": "me"}}, "agent.mission.about = 'me': expected 'centroid' or 'leader'"),
+        (
+            {"mission": {"legs": [{"formation": "box"}]}},
+            "legs[0].formation = 'box': expected 'circle' or 'line' or 'v'",
+        ),
         ({"localised_sigma_m": -1.0}, "agent.localised_sigma_m = -1.0: expected between 0 and 100 m"),
         ({"localised_sigma_rad": float("nan")}, "agent.localised_sigma_rad = nan: expected between 0 and 100 rad"),
         ({"lag_s": -0.1}, "agent.lag_s = -0.1: expected 0 to 10 s"),
