@@ -158,7 +158,13 @@ def parse(table: dict[str, Any], fleet: Fleet) -> Faults:
     for n, rule in enumerate(faults.links):
         _known(f"faults.links[{n}].senders", rule.senders, fleet)
         _known(f"faults.links[{n}].receivers", rule.receivers, fleet)
+        if rule.senders and rule.receivers and len({*rule.senders, *rule.receivers}) == 1:
+            raise BadExperiment(
+                f"faults.links[{n}].receivers = {list(rule.receivers)}: expected others than the sender itself"
+            )
+        _begins(f"faults.links[{n}]", rule.from_s, fleet)
     for n, partition in enumerate(faults.partitions):
+        _begins(f"faults.partitions[{n}]", partition.from_s, fleet)
         for group in partition.groups:
             _known(f"faults.partitions[{n}].groups", group, fleet)
         if partition.kept and partition.until_s > LONGEST_RUN_S:
@@ -198,6 +204,11 @@ def _known(where: str, mavs: Iterable[int], fleet: Fleet) -> None:
     for mav in mavs:
         if mav not in fleet.ids:
             raise BadExperiment(f"{where}: there is no MAV {mav}, expected 1 to {fleet.mavs}")
+
+
+def _begins(where: str, from_s: float, fleet: Fleet) -> None:
+    if from_s >= fleet.duration_s:
+        raise BadExperiment(f"{where}.from_s = {from_s:g}: expected before the run ends, at {fleet.duration_s:g} s")
 
 
 def _require(name: str, value: object, holds: bool, expected: str) -> None:

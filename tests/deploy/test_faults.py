@@ -147,6 +147,15 @@ def test_lives_that_make_sense(events: list[tuple[str, float]]) -> None:
         ("[[links]]\nfrom_s = -1", "faults.links[0].from_s = -1.0: expected 0 to 86400 s"),
         ("[[links]]\nfrom_s = 1e300", "faults.links[0].from_s = 1e+300: expected 0 to 86400 s"),
         ("[[links]]\nfrom_s = 3\nuntil_s = 3", "faults.links[0].until_s = 3.0: expected after from_s = 3 s"),
+        ("[[links]]\nfrom_s = 20", "faults.links[0].from_s = 20: expected before the run ends, at 20 s"),
+        (
+            "[[links]]\nsenders = [1]\nreceivers = [1]",
+            "faults.links[0].receivers = [1]: expected others than the sender",
+        ),
+        (
+            "[[partitions]]\ngroups = [[1], [2]]\nfrom_s = 20",
+            "faults.partitions[0].from_s = 20: expected before the run",
+        ),
         ("[[partitions]]\nfrom_s = 1", "faults.partitions[0].groups: this key is required"),
         ("[[partitions]]\ngroups = [[1, 2]]", "groups = [[1, 2]]: expected two groups or more"),
         ("[[partitions]]\ngroups = [[1], [1, 2]]", "groups = [[1], [1, 2]]: expected two groups or more, every MAV in"),

@@ -63,7 +63,7 @@ def test_a_command_does_what_it_is_to_do(
     if command[0] in ("run", "study"):
         words += ["--set", "fleet.duration_s=0.7"]
         if "cut_and_crash" in command:
-            words += ["--set", "faults.processes=[]"]  # they come later
+            words += ["--set", "faults.partitions=[]", "--set", "faults.processes=[]"]  # they come later
         if command[0] == "study":
             words[words.index("--seeds") + 1] = "0:1"
             words += ["--jobs", "1"]
