@@ -110,8 +110,9 @@ def report(chosen: argparse.Namespace) -> int:
         return _paper(chosen)
     if not chosen.folders:
         raise BadExperiment("which runs? expected DIR..., or --paper")
-    if len(set(map(Path.resolve, chosen.folders))) < len(chosen.folders):
-        raise BadExperiment("a folder is given more than once")
+    for n, folder in enumerate(chosen.folders):
+        if folder.resolve() in map(Path.resolve, chosen.folders[:n]):
+            raise BadExperiment(f"{folder}: this folder is given more than once")
     page = build.build(chosen.folders, _say)
     if chosen.out is not None:
         file = chosen.out

@@ -85,7 +85,7 @@ def test_what_is_no_run_and_no_study_is_said(
     for words, expected in (
         ([str(tmp_path)], "neither log.mcap nor study.json is there"),
         ([str(broken)], "cannot be read as a study"),
-        ([str(study), str(study)], "given more than once"),
+        ([str(study), str(study)], f"swarm: {study}: this folder is given more than once\n"),
         ([str(study), "--out", str(tmp_path / "nowhere" / "page.html")], "cannot be written"),
     ):
         assert main(["report", *words]) == BAD_INPUT
