@@ -87,29 +87,29 @@ def _parser() -> argparse.ArgumentParser:
     study.set_defaults(do=commands.study)
 
     score = each.add_parser("score", help="metrics of a recorded run again, from the recording alone")
-    score.add_argument("folder", type=Path, metavar="DIR", help="a run folder")
+    score.add_argument("folder", type=_path, metavar="DIR", help="a run folder")
     score.set_defaults(do=commands.score)
 
     report = each.add_parser("report", help="a page about runs and studies, side by side")
-    report.add_argument("folders", type=Path, nargs="*", metavar="DIR", help="run and study folders")
+    report.add_argument("folders", type=_path, nargs="*", metavar="DIR", help="run and study folders")
     report.add_argument("--paper", action="store_true", help="instead: the paper's experiments, flown (runs/paper)")
     report.add_argument(
         "--out",
-        type=Path,
+        type=_path,
         metavar="FILE",
         help="the page (default: report.html in DIR, of several in runs/report-TIME); with --paper, its folder",
     )
     report.set_defaults(do=commands.report)
 
     view = each.add_parser("view", help="a recorded run in three dimensions")
-    view.add_argument("folder", type=Path, metavar="DIR", help="a run folder")
+    view.add_argument("folder", type=_path, metavar="DIR", help="a run folder")
     view.add_argument("--web", action="store_true", help="in a browser on this host, instead of a window")
     view.set_defaults(do=commands.view)
 
     export = each.add_parser("export", help="a recorded run for other programs")
-    export.add_argument("folder", type=Path, metavar="DIR", help="a run folder")
+    export.add_argument("folder", type=_path, metavar="DIR", help="a run folder")
     export.add_argument("--format", required=True, choices=("tum", "csv", "rrd", "mcap-foxglove"))
-    export.add_argument("--out", type=Path, metavar="PATH", help="the file or folder (default: in DIR)")
+    export.add_argument("--out", type=_path, metavar="PATH", help="the file or folder (default: in DIR)")
     export.set_defaults(do=commands.export)
 
     each.add_parser("list", help="the bundled experiments")
@@ -120,10 +120,17 @@ def _parser() -> argparse.ArgumentParser:
         _what(alone, out=name == "recorder")
         if name == "agent":
             alone.add_argument("--mav", type=int, required=True, metavar="I", help="which MAV, 1..N")
-        alone.add_argument("--network", type=Path, required=True, metavar="FILE", help="endpoints of all (TOML)")
+        alone.add_argument("--network", type=_path, required=True, metavar="FILE", help="endpoints of all (TOML)")
         alone.add_argument("--epoch", type=int, required=True, metavar="E", help="number of the run, on all hosts")
         alone.set_defaults(do=commands.record if name == "recorder" else commands.one_process)
     return parser
+
+
+def _path(text: str) -> Path:
+    """What is empty would be the working directory."""
+    if not text:
+        raise argparse.ArgumentTypeError("expected a path, not nothing")
+    return Path(text)
 
 
 def _what(parser: argparse.ArgumentParser, out: bool = True) -> None:
@@ -133,7 +140,7 @@ def _what(parser: argparse.ArgumentParser, out: bool = True) -> None:
     )
     if out:
         parser.add_argument(
-            "--out", type=Path, metavar="DIR", help="where the results go (default: runs/EXPERIMENT-TIME)"
+            "--out", type=_path, metavar="DIR", help="where the results go (default: runs/EXPERIMENT-TIME)"
         )
 
 

@@ -93,7 +93,7 @@ def _read(source: str) -> tuple[str, dict[str, Any]]:
             f"{source}: no such experiment; bundled are {', '.join(bundled())}; or give the path of a TOML file"
         )
     try:
-        return _tables(path.read_text(), path.stem)
+        return _tables(path.read_text("utf-8-sig"), path.stem)
     except (OSError, *UNREADABLE) as error:
         raise BadExperiment(f"{source}: cannot be read as TOML: {error}") from None
 
@@ -156,6 +156,8 @@ def value(text: str, change: str) -> Any:
         return text
     except UNREADABLE as error:
         raise BadExperiment(f"--set {change}: not a TOML value: {error}") from None
+    if len(tables) > 1:
+        raise BadExperiment(f"--set {change!r}: expected one value, more keys take a --set each")
     return tables["value"]
 
 

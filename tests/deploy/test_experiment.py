@@ -71,6 +71,10 @@ def test_a_resolved_file_is_an_experiment_that_resolves_to_itself(tmp_path: Path
         (["line", "--set", f"fleet.seed={'9' * 5000}"], "9: not a TOML value: Exceeds the limit (4300 digits)"),
         (["line", "--set", f"fleet.seed={'[' * 3000}"], "[: not a TOML value: "),
         (["line", "--set", f"fleet.rate_hz={'9' * 400}"], "9: number out of range"),
+        (
+            ["line", "--set", "fleet.mavs=3\nrate_hz=5"],
+            r"--set 'fleet.mavs=3\nrate_hz=5': expected one value, more keys",
+        ),
         (["line", "--set", "fleet.mvs=3"], "fleet.mvs: there is no such key"),
         (["line", "--set", "fleet.mavs=many"], "fleet.mavs = 'many': expected int, got str"),
         (["line", "--set", "fleet.mavs=500"], "mavs = 500: expected 1 to 50"),
@@ -136,6 +140,23 @@ def test_what_is_not_utf_8_is_refused(tmp_path: Path) -> None:
     path.write_text("")
     with pytest.raises(BadExperiment, match="no experiment can be called that, expected UTF-8"):
         load(str(path))
+
+
+def test_a_byte_order_mark_is_no_part_of_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text("[fleet]\nseed = 3\n", "utf-8-sig")
+    assert load(str(path)).fleet.seed == 3
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["run", "line", "--out", ""], ["study", "line", "--seeds", "0:1", "--out", ""], ["score", ""], ["report", ""]],
+)
+def test_an_empty_path_is_not_the_working_directory(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(words)
+    assert caught.value.code == 2
+    assert "expected a path, not nothing" in capsys.readouterr().err
 
 
 def test_out_must_be_new_or_empty(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
