@@ -55,7 +55,7 @@ def study(chosen: argparse.Namespace) -> int:
     from agent.interface.tables import BadExperiment
     from deploy import study, terminal
     from deploy.experiment import load
-    from deploy.run import folder_for
+    from deploy.run import CLAIM, folder_for
 
     bounds = re.fullmatch(r"([0-9]{1,9}):([0-9]{1,9})", chosen.seeds)
     seeds = range(int(bounds[1]), int(bounds[2])) if bounds else range(0)
@@ -64,8 +64,10 @@ def study(chosen: argparse.Namespace) -> int:
     if chosen.jobs is not None and chosen.jobs < 1:
         raise BadExperiment(f"--jobs {chosen.jobs}: expected 1 or more")
     wanted = study.jobs(chosen.experiment, chosen.set, seeds, chosen.grid)
-    name = load(chosen.experiment, chosen.set).name
+    experiment = load(chosen.experiment, chosen.set)
+    name = experiment.name
     folder = folder_for(f"study-{name}", chosen.out)
+    (folder / CLAIM).write_text(experiment.toml())
     done = study.run_all(wanted, min(chosen.jobs or _cores(), len(wanted)), terminal.counter(len(wanted)))
     if done.summaries:
         from deploy import heat_map, report, results, summary  # matplotlib: not for a mistake in the words
@@ -82,8 +84,10 @@ def study(chosen: argparse.Namespace) -> int:
         results.print_study(content, folder)
     for failure in done.failures:
         complain(failure, FAILED)
-    if not done.summaries and chosen.out is None:
-        folder.rmdir()
+    if not done.summaries:
+        (folder / CLAIM).unlink()
+        if chosen.out is None:
+            folder.rmdir()
     if done.interrupted:
         return complain(f"interrupted after {len(done.summaries)} of {len(wanted)} runs", INTERRUPTED)
     return FAILED if done.failures else FINE
@@ -104,7 +108,7 @@ def score(chosen: argparse.Namespace) -> int:
 def report(chosen: argparse.Namespace) -> int:
     from agent.interface.tables import BadExperiment
     from deploy.page import build
-    from deploy.run import folder_for
+    from deploy.run import new_folder
 
     if chosen.paper:
         return _paper(chosen)
@@ -117,7 +121,7 @@ def report(chosen: argparse.Namespace) -> int:
     if chosen.out is not None:
         file = chosen.out
     else:
-        file = (chosen.folders[0] if len(chosen.folders) == 1 else folder_for("report", None)) / build.PAGE
+        file = (chosen.folders[0] if len(chosen.folders) == 1 else new_folder("report")) / build.PAGE
     try:
         file.write_text(page)
     except OSError as error:

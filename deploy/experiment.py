@@ -19,10 +19,8 @@ from deploy.faults import Faults
 TABLES = ("world", "agent", "fleet", "faults")
 RECORD = "record"  # in a resolved file: what it was made from and with; ignored by every program
 INHERITED = {"detector": Detector, "odometry": Odometry}  # an agent knows its sensors unless it is told otherwise
-UNREADABLE = (
-    ValueError,
-    RecursionError,
-)  # not TOML, not UTF-8, a number of thousands of digits; arrays in arrays in ...
+# Not TOML, not UTF-8, a number of thousands of digits; arrays in arrays in arrays ...
+UNREADABLE = (ValueError, RecursionError)
 VERSIONS = ("swarm-cpdaf", "numpy", "scipy", "mujoco", "msgspec", "eclipse-zenoh")
 
 

@@ -28,6 +28,7 @@ if TYPE_CHECKING:  # slow to import: a mistake in the words is answered at once
     from deploy.summary import Analysis, Circumstances
 
 PROGRESS_S = 0.5
+CLAIM = "experiment.toml"  # the file that makes a folder ours; what is flown is written into it
 EPOCHS = range(2**30, 2**31)  # the messages of all runs are of the same length, which a bandwidth limit is about
 
 
@@ -45,19 +46,41 @@ class NotScored(Exception):
 
 
 def folder_for(experiment: str, out: Path | None) -> Path:
-    """Where the results go: a directory that was not there, or empty. It is made here, before anything is started.
+    """Where the results go: a directory that was not there, or empty. It is made here, before anything is started, and
+    claimed: nobody else can have it any more.
 
     Raises:
         BadExperiment: there is something, or it cannot be made.
     """
-    folder = Path("runs") / f"{experiment}-{clock.utc_text()}" if out is None else out
+    folder = new_folder(experiment) if out is None else out
     try:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise BadExperiment(f"--out {folder}: expected a directory that does not exist yet or is empty")
+            raise FileExistsError
         folder.mkdir(parents=True, exist_ok=True)
+        (folder / CLAIM).touch(exist_ok=False)
+    except FileExistsError:
+        raise BadExperiment(f"--out {folder}: expected a directory that does not exist yet or is empty") from None
     except OSError as error:
         raise BadExperiment(f"--out {folder}: cannot be made: {error.strerror}") from None
     return folder
+
+
+def new_folder(name: str) -> Path:
+    """In runs/, named after the time; with a number, too, if there is one of that second.
+
+    Raises:
+        BadExperiment: it cannot be made.
+    """
+    named = f"{name}-{clock.utc_text()}"
+    for folder in (Path("runs", named), *(Path("runs", f"{named}-{n}") for n in range(2, 1000))):
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise BadExperiment(f"{folder}: cannot be made: {error.strerror}") from None
+        return folder
+    raise BadExperiment(f"runs/{named}: there are a thousand of that second")
 
 
 def run(
@@ -75,7 +98,7 @@ def run(
         view: where a viewer listens, if one is to see the run.
     """
     (folder / "logs").mkdir(parents=True, exist_ok=True)
-    (folder / "experiment.toml").write_text(experiment.toml())
+    (folder / CLAIM).write_text(experiment.toml())
     epoch = secrets.choice(EPOCHS)
     with display:
         if in_process:
