@@ -7,6 +7,7 @@ import os
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 import argparse
+import re
 import signal
 import sys
 from pathlib import Path
@@ -18,13 +19,15 @@ from deploy.commands import BAD_INPUT, FAILED, FINE, INTERRUPTED, UNHEARD
 
 def main(words: list[str] | None = None) -> int:
     """Exit status: 0 it did what was asked, 1 it failed, 2 bad input, 130 Ctrl-C, 141 nobody reads what it says."""
-    chosen = _parser().parse_args(words)
-    if sys.stdout is None:  # as in `swarm run line >&-`
-        sys.stdout = os.fdopen(_nowhere(), "w")
+    # Closed, as in `swarm run line >&-`, and whatever is opened next would take its number and be written into.
+    sys.stdout = sys.stdout or os.fdopen(_nowhere(), "w")
+    sys.stderr = sys.stderr or os.fdopen(_nowhere(), "w")
     try:
-        status = _listened_to(chosen)
+        status = _listened_to(words)
         sys.stdout.flush()
         return status
+    except KeyboardInterrupt as interrupt:
+        return commands.complain("; ".join(("interrupted", *interrupt.args)), INTERRUPTED)
     except OSError as error:
         os.dup2(_nowhere(), sys.stdout.fileno())  # what is still in its buffer cannot be said
         if isinstance(error, BrokenPipeError):  # as in `swarm run line | head -3`
@@ -36,17 +39,15 @@ def _nowhere() -> int:
     return os.open(os.devnull, os.O_WRONLY)
 
 
-def _listened_to(chosen: argparse.Namespace) -> int:
+def _listened_to(words: list[str] | None) -> int:
+    chosen = _parser().parse_args(words)
     if chosen.command == "list":
         for name, description in bundled().items():
             print(f"{name:21} {description}")
         return FINE
     for number in (signal.SIGTERM, signal.SIGHUP):  # they end a run as Ctrl-C does
         signal.signal(number, signal.default_int_handler)
-    try:
-        return _do(chosen)
-    except KeyboardInterrupt as interrupt:
-        return commands.complain("; ".join(("interrupted", *interrupt.args)), INTERRUPTED)
+    return _do(chosen)
 
 
 def _do(chosen: argparse.Namespace) -> int:
@@ -121,7 +122,7 @@ def _parser() -> argparse.ArgumentParser:
         if name == "agent":
             alone.add_argument("--mav", type=int, required=True, metavar="I", help="which MAV, 1..N")
         alone.add_argument("--network", type=_path, required=True, metavar="FILE", help="endpoints of all (TOML)")
-        alone.add_argument("--epoch", type=int, required=True, metavar="E", help="number of the run, on all hosts")
+        alone.add_argument("--epoch", type=_epoch, required=True, metavar="E", help="number of the run, on all hosts")
         alone.set_defaults(do=commands.record if name == "recorder" else commands.one_process)
     return parser
 
@@ -131,6 +132,13 @@ def _path(text: str) -> Path:
     if not text:
         raise argparse.ArgumentTypeError("expected a path, not nothing")
     return Path(text)
+
+
+def _epoch(text: str) -> int:
+    """What fits into a message."""
+    if not re.fullmatch("[0-9]{1,18}", text):
+        raise argparse.ArgumentTypeError(f"{text:.30}: expected a number of at most 18 digits")
+    return int(text)
 
 
 def _what(parser: argparse.ArgumentParser, out: bool = True) -> None:

@@ -5,6 +5,7 @@ each process: `world = "tcp/192.168.1.10:7447"`, `mav_1 = ...`. The recorder may
 too, where drivers take its place.
 """
 
+import re
 import subprocess
 import tempfile
 import tomllib
@@ -22,6 +23,10 @@ from deploy.leash import die_with
 from deploy.progress import Progress
 from deploy.terminal import Display
 
+# Of Zenoh: protocol, host and port, then what it calls metadata and configuration; or a Unix socket.
+ENDPOINT = re.compile(
+    r"(tcp|udp|tls|quic|ws)/(\[[0-9a-fA-F:.]+(%\w+)?\]|[^\s/:?#\[\]]+):(?P<port>[0-9]{1,5})([?#]\S*)?|unixsock-stream/\S+"
+)
 PATIENCE_S = 3600.0  # that the processes on the other hosts may take to come
 
 
@@ -45,8 +50,14 @@ def places(path: Path, experiment: Experiment) -> dict[str, Place]:
     for name, endpoint in table.items():
         if name not in known:
             raise BadExperiment(f"--network {path}: {name}: there is no such process, expected {', '.join(known)}")
-        if not isinstance(endpoint, str) or "/" not in endpoint:
+        found = ENDPOINT.fullmatch(endpoint) if isinstance(endpoint, str) else None
+        if found is None or int(found["port"] or 1) not in range(1, 65536):
             raise BadExperiment(f"--network {path}: {name} = {endpoint!r}: expected as in 'tcp/10.0.0.1:7447'")
+        other = next(each for each in table if table[each] == endpoint)
+        if other != name:
+            raise BadExperiment(
+                f"--network {path}: {name} = {endpoint!r}: {other} has the same, expected one of its own"
+            )
     return {name: Place(endpoint) for name, endpoint in table.items()}
 
 

@@ -188,7 +188,7 @@ class _Crew:
                     if one.row.ends == "whenever" or not one.ended.done():
                         continue
                     if one.ended.result() != 0 or one.row.ends == "when told":
-                        return Outcome(failure=_words(one))
+                        return Outcome(failure=_words(one) + _stopped(running))
                 awaited = [one for one in running if one.row.ends == "by itself" and not one.stopped]
                 left = [one for one in awaited if not one.ended.done()]
                 if not left:
@@ -201,6 +201,7 @@ class _Crew:
                     where = left[0].log
                     return Outcome(
                         failure=f"{first} ended, but {TOGETHER_S:g} s later these had not: {names} (log: {where})"
+                        + _stopped(running)
                     )
                 changed = asyncio.create_task(self._changed.wait())
                 unfinished = [*(one.ended for one in running), *self._readers]
@@ -252,6 +253,17 @@ def _words(one: _Running) -> str:
     said = [line for line in one.log.read_text(errors="replace").splitlines() if line.strip()]
     last = f": {said[-1].strip()}" if said else ""
     return f"{one.row.name} ended early ({why}){last} (log: {one.log})"
+
+
+def _stopped(running: list[_Running]) -> str:
+    """Who of them has been stopped, but not by the director: it may be why others failed (Linux only)."""
+    names = []
+    for one in running:
+        with contextlib.suppress(OSError):
+            state = Path(f"/proc/{one.child.pid}/stat").read_text().rpartition(") ")[2][0]
+            if state == "T" and not one.stopped:
+                names.append(one.row.name)
+    return f"; stopped by a signal: {', '.join(names)}" if names else ""
 
 
 _ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)

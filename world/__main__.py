@@ -24,9 +24,12 @@ def main() -> int:
                 world.run_realtime(roll_call.realtime)
             else:
                 world.run_lockstep(roll_call.lockstep)
-    except (BadExperiment, BusError) as error:
+    except BadExperiment as error:
         print(f"world: {error}", file=sys.stderr)
-        return 2 if isinstance(error, BadExperiment) else 1
+        return 2
+    except BusError as error:  # it begins with the name of this process
+        print(error, file=sys.stderr)
+        return 1
     return 0
 
 

@@ -97,7 +97,15 @@ class ZenohBus:
                 clock.sleep_until(clock.now_s() + 0.01)
 
     def close(self) -> None:
-        self._session.close()  # type: ignore[no-untyped-call]
+        """Once all that was published has been taken.
+
+        Raises:
+            BusError: somebody does not take it.
+        """
+        try:
+            self._session.close()  # type: ignore[no-untyped-call]
+        except zenoh.ZError:  # its words are those of Zenoh's source
+            raise BusError(f"{self.network.name}: somebody does not take what was sent to it") from None
 
     def __enter__(self) -> Self:
         return self

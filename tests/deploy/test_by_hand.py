@@ -70,6 +70,10 @@ ALL = "world = 'tcp/10.0.0.1:1'\nmav_1 = 'tcp/10.0.0.1:2'\nmav_2 = 'tcp/10.0.0.1
             "mav_3: there is no such process, expected recorder, world",
         ),
         (["world"], ALL.replace("'tcp/10.0.0.1:3'", "7447"), "mav_2 = 7447: expected as in 'tcp/10.0.0.1:7447'"),
+        (["world"], ALL.replace("tcp/10.0.0.1:3", "tcp/10.0.0.1"), "mav_2 = 'tcp/10.0.0.1': expected as in"),
+        (["world"], ALL.replace("10.0.0.1:3", "10.0.0.1:70000"), "mav_2 = 'tcp/10.0.0.1:70000': expected as in"),
+        (["world"], ALL.replace("tcp/10.0.0.1:3", "pigeon/10.0.0.1:3"), "mav_2 = 'pigeon/10.0.0.1:3': expected as in"),
+        (["world"], ALL.replace("10.0.0.1:3", "10.0.0.1:2"), "mav_2 = 'tcp/10.0.0.1:2': mav_1 has the same"),
         (["agent", "--mav", "3"], ALL, "--mav 3: expected 1 to 2"),
         (["world", "--set", "faults.processes=[{mav=1,do='kill',at_s=1}]"], ALL, "faults.processes: expected none"),
         (["recorder"], ALL, "recorder is missing, expected an endpoint"),
@@ -82,3 +86,21 @@ def test_a_wrong_table_of_endpoints_is_refused(
     error = capsys.readouterr().err
     assert says in error
     assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "endpoint", ["udp/robot-3.local:7447?rel=1", "tls/[fe80::1%eth0]:1#a=b", "quic/h:65535", "ws/h:1"]
+)
+def test_every_kind_of_endpoint_is_taken(endpoint: str, tmp_path: Path) -> None:
+    words = written(tmp_path, ALL.replace("tcp/10.0.0.1:3", endpoint))
+    assert by_hand.places(tmp_path / "network.toml", load(words[0]))["mav_2"].listen == endpoint
+
+
+@pytest.mark.parametrize("epoch", ["-1", "1" + 18 * "0", 5000 * "1", "x"])
+def test_an_epoch_that_no_message_can_hold_is_refused(
+    epoch: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as refused:
+        main(["world", *written(tmp_path, ALL)[:-1], epoch])
+    assert refused.value.code == 2
+    assert "expected a number of at most 18 digits" in capsys.readouterr().err

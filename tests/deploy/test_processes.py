@@ -149,7 +149,8 @@ def test_a_run_whose_output_nobody_reads_any_more_ends_at_once_and_without_a_wor
 
 
 @pytest.mark.parametrize(
-    ("output", "status", "words"), [(">&-", 0, ""), (">/dev/full", 1, "swarm: [Errno 28] No space left on device\n")]
+    ("output", "status", "words"),
+    [(">&-", 0, ""), ("2>&-", 0, ""), (">/dev/full", 1, "swarm: [Errno 28] No space left on device\n")],
 )
 def test_a_run_that_cannot_say_anything_goes_on_or_says_why_not(
     tmp_path: Path, output: str, status: int, words: str

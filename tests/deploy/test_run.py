@@ -11,6 +11,7 @@ import pytest
 
 from agent.interface import clock, messages
 from agent.interface.bus import Packet
+from deploy import __main__ as main_module
 from deploy import composition, report, results, study
 from deploy import run as run_module
 from deploy.__main__ import main
@@ -354,3 +355,14 @@ def test_no_folder_where_runs_is_a_file(
     (tmp_path / "runs").touch()
     assert main(["run", "line"]) == 2
     assert "cannot be made: Not a directory" in capsys.readouterr().err
+
+
+def test_ctrl_c_before_anything_has_begun_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(main_module, "_parser", interrupted)
+    assert main(["list"]) == 130
+    assert capsys.readouterr().err == "swarm: interrupted\n"

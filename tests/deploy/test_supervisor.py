@@ -119,6 +119,23 @@ def test_one_that_leaves_the_others_waiting_is_named(crew: Crew) -> None:
 
 
 @pytest.mark.usefixtures("impatient")
+def test_one_that_somebody_has_stopped_is_named_where_another_fails(crew: Crew) -> None:
+    def stop_and_kill(pids: list[int]) -> None:
+        os.kill(pids[0], signal.SIGSTOP)
+        os.waitid(os.P_PID, pids[0], os.WSTOPPED | os.WNOWAIT)
+        os.kill(pids[1], signal.SIGKILL)
+
+    outcome = crew.run(row("world", WAIT), row("mav_1", WAIT), act=stop_and_kill)
+    assert outcome.failure is not None
+    failed, stopped = (
+        outcome.failure.partition(" ended early")[0],
+        outcome.failure.rpartition("stopped by a signal: ")[2],
+    )
+    assert {failed, stopped} == {"world", "mav_1"}
+    crew.assert_none_left()
+
+
+@pytest.mark.usefixtures("impatient")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_ctrl_c_ends_all_also_those_that_do_not_heed_sigterm_or_are_frozen(crew: Crew, number: signal.Signals) -> None:
     def interrupt(pids: list[int]) -> None:

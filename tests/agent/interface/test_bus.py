@@ -4,6 +4,7 @@ import tempfile
 from pathlib import Path
 
 import pytest
+import zenoh
 
 from agent.interface.bus import BusError, MemoryBus, Packet
 from agent.interface.zenoh_bus import Network, ZenohBus
@@ -122,3 +123,13 @@ def test_who_does_not_come_is_named(sockets):
 def test_a_socket_that_cannot_be_had_is_one_clear_error(sockets):
     with pytest.raises(BusError, match="a: cannot open the network"):
         ZenohBus(Network("a", "swarm/test", (f"unixsock-stream/{sockets}/no/such/folder/a.sock",)))
+
+
+def test_what_nobody_takes_any_more_is_one_clear_error(monkeypatch):
+    class Clogged:
+        def close(self):
+            raise zenoh.ZError("close operation timed out! at /src/close.rs:135.")
+
+    monkeypatch.setattr(zenoh, "open", lambda _: Clogged())
+    with pytest.raises(BusError, match=r"^a: somebody does not take what was sent to it$"):
+        ZenohBus(Network("a", "swarm/test")).close()
