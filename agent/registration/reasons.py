@@ -29,6 +29,7 @@ def situation(
     saturated: Mask | None,
     team: Mask,
     silent: Array,
+    mute: Mask,
     ticks: int,
     ids: list[int],
 ) -> Situation:
@@ -40,6 +41,7 @@ def situation(
         saturated: (N,) of whom more rivals are near than could be tested, if the leader was challenged lately.
         team: (N,) who is localised.
         silent: (N,) ticks for which nothing has been heard of each.
+        mute: (N,) of whom no detection set has come in the ticks that are kept.
         ticks: that are kept.
         ids: (N,) MAV numbers.
     """
@@ -53,6 +55,8 @@ def situation(
             reasons[j] = f"nothing heard of it for {int(silent[j])} ticks"
         elif ticks < LEAST_TICKS:
             reasons[j] = f"{ticks} of {LEAST_TICKS} ticks heard that the search begins with"
+        elif mute[j] and (verdict is None or hypotheses is None or not hypotheses.bank.placed[verdict.leader, j]):
+            reasons[j] = f"none of its detection sets came in {ticks} ticks: it is found by what it sees, too"
         elif hypotheses is None or verdict is None:
             reasons[j] = "looking for a place that its sightings and those of it agree on"
         else:

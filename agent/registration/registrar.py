@@ -118,8 +118,9 @@ class Registrar:
         silent = self._waiting.silence(now)
         challenged = self._lately(WINDOW)
         saturated = None if challenged is None else challenged.saturated
-        ticks = len(self._past(WINDOW))
-        return situation(self._hypotheses, self._verdict, saturated, team, silent, ticks, ids)
+        past = self._past(WINDOW)
+        mute = ~np.any([frame.heard for frame in past], axis=0) if past else np.ones(self._mavs, bool)
+        return situation(self._hypotheses, self._verdict, saturated, team, silent, mute, len(past), ids)
 
     def advance(self, placed: Mask) -> list[Frame]:
         """Takes in the ticks of which all is there that will be, and returns them; with these MAVs (N,) localised."""

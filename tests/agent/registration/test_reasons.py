@@ -10,13 +10,13 @@ from tests.agent.registration.beginning import recorded
 
 IDS = [3, 1, 2, 4]
 TEAM = np.array([True, False, False, False])
-HEARD = np.zeros(4)
+HEARD, NOBODY = np.zeros(4), np.zeros(4, bool)
 POSES = np.array([[0.0, 0, 0, 0], [2, 0, 0, 1], [4, 0, 0, 2], [6, 0, 0, 3]])
 
 
-def told(made=None, saturated=None, team=TEAM, silent=HEARD, ticks=20):
+def told(made=None, saturated=None, team=TEAM, silent=HEARD, mute=NOBODY, ticks=20):
     verdict = None if made is None else judge(made, 0.9)
-    return situation(made, verdict, saturated, team, silent, ticks, IDS)
+    return situation(made, verdict, saturated, team, silent, mute, ticks, IDS)
 
 
 def with_rival(change, lead=0.0, placed=None):
@@ -64,6 +64,14 @@ def test_not_placed_by_the_leader():
     found = told(made)
     assert found.reasons[2] == "no place found that its sightings and those of it agree on"
     assert found.states[2] == m.SEARCHING
+
+
+@pytest.mark.parametrize("made", [None, recorded(POSES[None], np.ones((1, 20)), [[True, True, False, True]])])
+def test_no_detection_sets(made):
+    found = told(made, mute=np.array([False, False, True, False]))
+    assert found.reasons[2] == "none of its detection sets came in 20 ticks: it is found by what it sees, too"
+    assert found.states[2] == m.SEARCHING
+    assert "sets" not in found.reasons[1]
 
 
 def test_one_place_or_none():
