@@ -1,11 +1,6 @@
-"""Where might a MAV be? Candidates from reciprocal sightings, clustered over frames.
+"""Where might a MAV be? Candidates from sightings of it and by it (`sightings.py`), clustered over frames.
 
-A detection m of a placed MAV b and a detection n of j may be each other's sighting if their ranges agree and their
-elevations are opposite. Then j's pose follows in closed form:
-
-    psi_j = psi_b + az_m + pi - az_n,      p_j = p_b + r u(psi_b + az_m, el)
-
-It works in hover, from one instant; j's odometry carries it to the newest frame, where the candidates of all frames
+It works in hover, from one instant; the MAV's odometry carries its pose to the newest frame, where those of all frames
 are clustered.
 """
 
@@ -18,9 +13,10 @@ import numpy.typing as npt
 
 from agent.config import AgentConfig
 from agent.interface.frames import Array, compose, direction, inverse, wrap
-from agent.registration.window import Frame, carried
+from agent.registration import sightings
+from agent.registration.sightings import Sightings
+from agent.registration.window import Frame
 
-RANGE_GATE, ELEVATION_GATE = 3.2, 3.5  # standard deviations of the two readings' difference
 LEAST_SUPPORT = 2  # distinct frames
 PER_MAV, MOST = 2, 24  # candidates of one MAV that are kept: so many per MAV of the team, at most so many
 ENOUGH = 600  # sightings of one MAV: where there are more, as in a regular formation, not all placed MAVs are asked
@@ -52,24 +48,14 @@ class Candidates:
     covariances: Array  # (C, 4, 4)
 
 
-@dataclass
-class _Sightings:
-    """Reciprocal pairs of detections, each with the pose it gives."""
-
-    mav: npt.NDArray[np.intp]
-    base: npt.NDArray[np.intp]  # the placed MAV, by its rank among them
-    frame: npt.NDArray[np.intp]
-    poses: Array  # (S, 4)
-    bearing: Array  # (S, 2) azimuth in the common frame, elevation: from the placed MAV
-    distance: Array  # (S,)
-
-
 def candidates(
     config: AgentConfig, frames: list[Frame], base: Placement, missing: list[int]
 ) -> Generator[float, None, Candidates]:
     """Of the MAVs in `missing`, as seen from and seeing those of `base`; yields what it has just cost."""
-    found = [_reciprocal(config, k, frames, base, missing) for k in range(len(frames))]
-    every = _Sightings(*(np.concatenate([getattr(f, n) for f in found]) for n in _Sightings.__annotations__))
+    found = [sightings.reciprocal(config, k, frames, base, missing) for k in range(len(frames))]
+    if not config.detector.sees_all_around:
+        found += [sightings.one_way(config, k, frames, base, missing) for k in range(len(frames))]
+    every = sightings.joined(found)
     clusters = []
     for j in missing:
         mine = every.mav == j
@@ -84,32 +70,8 @@ def candidates(
     )
 
 
-def _reciprocal(config: AgentConfig, k: int, frames: list[Frame], base: Placement, missing: list[int]) -> _Sightings:
-    frame, newest, detector = frames[k], frames[-1], config.detector
-    bases = np.flatnonzero(base.placed & frame.heard)
-    others = np.array([j for j in missing if frame.heard[j]], np.intp)
-    there = carried(base.poses[bases], newest.odometry[bases], frame.odometry[bases])
-    m, n = frame.spherical[bases][:, None, :, None], frame.spherical[others][None, :, None, :]
-    sigma_m, sigma_n = detector.range_sigma_m(m[..., 0]), detector.range_sigma_m(n[..., 0])
-    agree = np.abs(m[..., 0] - n[..., 0]) < RANGE_GATE * np.hypot(sigma_m, sigma_n)
-    agree &= np.abs(m[..., 2] + n[..., 2]) < ELEVATION_GATE * np.sqrt(2) * detector.bearing_sigma_rad
-    b, j, im, jn = agree.nonzero()
-    z_m, z_n = frame.spherical[bases[b], im], frame.spherical[others[j], jn]
-    # Both ranges measure one distance: weighted by their precision.
-    w_m, w_n = detector.range_sigma_m(z_m[:, 0]) ** -2, detector.range_sigma_m(z_n[:, 0]) ** -2
-    distance = (w_m * z_m[:, 0] + w_n * z_n[:, 0]) / (w_m + w_n)
-    azimuth, elevation = there[b, 3] + z_m[:, 1], (z_m[:, 2] - z_n[:, 2]) / 2
-    poses = np.empty((len(b), 4))
-    poses[:, :3] = there[b, :3] + distance[:, None] * direction(azimuth, elevation)
-    poses[:, 3] = azimuth + np.pi - z_n[:, 1]
-    mav = others[j]
-    poses = carried(poses, frame.odometry[mav], newest.odometry[mav])
-    rank = (np.cumsum(base.placed) - 1)[bases[b]]
-    return _Sightings(mav, rank, np.full(len(mav), k), poses, np.column_stack([azimuth, elevation]), distance)
-
-
 def _clustered(
-    config: AgentConfig, every: _Sightings, mine: npt.NDArray[np.bool_], frames: int, most: int
+    config: AgentConfig, every: Sightings, mine: npt.NDArray[np.bool_], frames: int, most: int
 ) -> tuple[Array, Array]:
     """(C, 4) and (C, 4, 4): greedily the poses that those of most frames agree in, of these sightings (S,)."""
     poses, frame, distance = every.poses[mine], every.frame[mine], every.distance[mine]

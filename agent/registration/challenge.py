@@ -21,6 +21,7 @@ from agent.registration.window import Frame
 WITHIN, NEAR = 3.0, 18.0  # nats, times NEAR by the root of the frames: rivals that are looked at, that must be tested
 MOST, FEW = 16, 4  # rivals tested; where they do not decide anything
 FORBIDDEN = -1e6  # nats
+LEAST_SEEN = 2  # placed MAVs, by one that does not look all around, before its place is believed
 EACH = 2  # of them for every MAV at least
 Mask = npt.NDArray[np.bool_]
 
@@ -60,10 +61,24 @@ def challenge(
     saturated[mavs] = differs[near].any(0) | (found.known_to < near_by)
     if len(others):  # one that has no place yet might be who stands there
         saturated[mavs] |= (view.V[n:] > np.diag(view.V[:n]) - near_by).any(axis=0) & ~team[mavs]
+        if not config.detector.sees_all_around:
+            saturated |= _seeing_few(config, hypotheses, leader, team)
     yield 5.0 * len(found.poses) * (1 + len(chosen))
     if saturated[mavs][~team[mavs]].all():  # nobody can be committed: only who may be better than the leader matters
         chosen = [r for r in chosen if found.behind[r] < own_behind - MARGIN][:FEW]
     return Challenge([_placement(N, mavs, found.poses[r]) for r in chosen], saturated)
+
+
+def _seeing_few(config: AgentConfig, hypotheses: Hypotheses, leader: int, team: Mask) -> Mask:
+    """(N,) who is placed, but by sightings that chance may have made: somebody without a place may be whom they are of.
+
+    That a MAV is seen tells of its place, not who it is; that it sees another tells its yaw, and agrees in range and
+    elevation by chance once in a hundred places. If the station itself sees few, nobody's place is known.
+    """
+    expected, explained = hypotheses.expected[leader], hypotheses.explained[leader]
+    sees = ((expected >= 1) & (explained > 0.5 * config.detector.P_D * expected)).sum(axis=1)
+    placed, few = hypotheses.bank.placed[leader], sees < LEAST_SEEN
+    return np.asarray(placed & ~team & (few | (few[0] and team.sum() == 1)))
 
 
 def _rivals(view: places.PlaceView, now: Array, fixed: npt.NDArray[np.intp], within: float) -> places.Rivals:

@@ -21,6 +21,7 @@ Index = npt.NDArray[np.intp]
 FRAMES = 5
 PLACE_SIGMA_M = 0.02  # by which a hypothesis that has the identities wrong displaces its places
 AGREES, MATCHES = 36.0, 12.0  # squared normalised residuals below which a detection counts, and proposes a yaw
+LOOKS = 24  # directions in which it may look, whatever it sees, where it does not look all around
 YAWS, SAME_YAW_RAD = 2, 0.05  # of the best for a MAV and a place that are looked at more closely, so far apart
 NO_YAW = -1e3  # nats, where none fits any detection
 BEAM = 300
@@ -97,6 +98,9 @@ def _row(config: AgentConfig, scene: _Scene, sets: list[Array], V: Array, yaw: A
     hits, F, n = _hits(config, scene, sets), len(sets), len(V)
     near = np.flatnonzero((hits.frame >= F - 2) & (hits.square < MATCHES))
     place, psi = hits.place[near], hits.yaw[near]
+    if not config.detector.sees_all_around:  # it may look away from all of them
+        place = np.concatenate([place, np.repeat(np.arange(n), LOOKS)])
+        psi = np.concatenate([psi, np.tile(np.linspace(-np.pi, np.pi, LOOKS, endpoint=False), n)])
     if not len(place):
         return len(hits.place)
     newest = hits.frame == F - 1

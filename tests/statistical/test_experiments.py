@@ -143,3 +143,16 @@ def test_agents_that_believe_a_tenth_of_the_bearing_noise_do_not_localise_or_are
 @pytest.mark.statistical
 def test_agents_that_believe_a_tenth_of_the_bearing_noise_localise_nobody_wrongly(overconfident):
     assert total_wrong(overconfident) == 0
+
+
+NARROW = ("faults.partitions=[]", "faults.processes=[]", "fleet.duration_s=10.0")
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize(("fov_azimuth_rad", "seed", "localised"), [(3.14, 1, 0), (3.14, 2, 1), (4.2, 4, 7)])
+def test_detectors_that_do_not_look_all_around_tell_less_but_nothing_wrong(fov_azimuth_rad, seed, localised):
+    """Some see nobody, and may stand wherever somebody is seen."""
+    changes = (f"world.detector.fov_azimuth_rad={fov_azimuth_rad}", *NARROW)
+    runs = summaries("cut_and_crash", *changes, seeds=range(seed, seed + 1))
+    assert total_wrong(runs) == 0
+    assert sum(time_s < math.inf for time_s in localised_at_s(runs)) >= localised

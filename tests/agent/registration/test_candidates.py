@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from agent.config import AgentConfig
-from agent.interface.frames import compose, direction, relative_pose, wrap
+from agent.interface.frames import compose, direction, range_and_bearing, relative_pose, wrap
 from agent.interface.sensors import Detector, Odometry
 from agent.registration.candidates import ENOUGH, candidates, seen_from_station
 from tests.agent.registration.beginning import exact, finished, hovering, placement, true_poses, window_of
@@ -46,6 +46,27 @@ def test_in_a_crowd_the_truth_is_among_the_candidates(seed):
         distance, turn = nearest(found, mav, truth[mav])
         assert distance < 1e-6
         assert turn < 1e-6
+
+
+def seen_by(tick, station, *targets):
+    """What a MAV sees of others, without noise."""
+    at = tick.truth[[mav - 1 for mav in targets]]
+    return range_and_bearing(relative_pose(np.tile(tick.truth[station - 1], (len(at), 1)), at)[:, :3])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_of_detectors_that_do_not_look_all_around_one_sees_and_another_is_seen(seed):
+    """MAV 1 sees 2 and 3, of whom 3 sees 2 only, and 2 nobody."""
+    ticks = list(exact(np.random.default_rng([9, seed]), 3, 8))
+    for tick in ticks:
+        tick.sets.update({1: seen_by(tick, 1, 3, 2), 2: np.zeros((0, 3)), 3: seen_by(tick, 3, 2)})
+    truth, narrow = true_poses(ticks[-1]), AgentConfig(detector=Detector(fov_azimuth_rad=4.0))
+    base = placement(truth, [True, True, False])
+    distance, turn = nearest(found_in(ticks, base, [2], narrow), 2, truth[2])
+    assert distance < 1e-6
+    assert turn < 1e-6
+    assert not len(found_in(ticks, placement(truth, [True, False, False]), [2], narrow).mav)  # 2 is not placed
+    assert not len(found_in(ticks, base, [2]).mav)  # with detectors that look all around it would see 1
 
 
 @pytest.mark.parametrize("deaf", [1, 2])

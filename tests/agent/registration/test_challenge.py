@@ -5,6 +5,7 @@ import pytest
 
 from agent.config import AgentConfig
 from agent.interface.frames import relative_pose, wrap
+from agent.interface.sensors import Detector
 from agent.registration import places
 from agent.registration.challenge import MOST, challenge
 from tests import team
@@ -21,10 +22,10 @@ def followed(ticks, names=None, placed=None):
     return made
 
 
-def challenged(made, ticks, team=None):
+def challenged(made, ticks, team=None, config=AgentConfig()):  # noqa: B008
     mavs = len(ticks[0].truth)
     team = np.arange(mavs) == 0 if team is None else team
-    return finished(challenge(AgentConfig(), made, 0, window_of(ticks).frames[-places.FRAMES :], team))[0]
+    return finished(challenge(config, made, 0, window_of(ticks).frames[-places.FRAMES :], team))[0]
 
 
 def circle(seed, mavs, ticks=8):
@@ -135,6 +136,22 @@ def test_who_is_not_placed_is_left_out():
     best = found.rivals[0]
     assert best.placed.tolist() == placed[0].tolist()
     assert np.abs(best.poses[[1, 3, 4], :3] - truth[[1, 3, 4], :3]).max() < 0.15
+
+
+@pytest.mark.parametrize(
+    ("unsure", "alone", "saturated"), [(2, True, [2]), (0, True, [1, 2, 3, 4]), (0, False, []), (None, True, [])]
+)
+def test_whose_detector_is_narrow_must_see_two_while_somebody_has_no_place(unsure, alone, saturated):
+    """One, by chance, may be somebody else who is seen from where somebody else stands."""
+    ticks = hovering(8, 6, 8)
+    made = followed(ticks, placed=np.array([[True, True, True, True, True, False]]))
+    if unsure is not None:
+        made.explained[0, unsure, np.arange(6) != 4] = 0
+    narrow = AgentConfig(detector=Detector(fov_azimuth_rad=6.2))
+    team = np.array([True, not alone, False, False, False, False])
+    found = challenged(made, ticks, team, narrow)
+    assert np.flatnonzero(found.saturated).tolist() == saturated
+    assert not challenged(made, ticks, team).saturated.any()
 
 
 def test_a_record_that_is_shorter_than_the_past_will_do():

@@ -7,6 +7,7 @@ import pytest
 
 from agent.config import AgentConfig
 from agent.interface.frames import relative_pose, wrap
+from agent.interface.sensors import Detector
 from agent.registration import places, views
 from agent.registration.places import PlaceView, place_view, rivals
 from tests.agent.registration.beginning import finished, hovering, true_poses, wandering, window_of
@@ -112,6 +113,18 @@ def test_who_was_not_heard_may_be_anywhere():
     view = finished(job)[0]
     assert np.ptp(view.V[2]) == 0
     assert (view.V.argmax(1) == np.arange(4))[[0, 1, 3]].all()
+
+
+@pytest.mark.parametrize("fov_azimuth_rad", [1.0, 2 * np.pi])
+def test_who_sees_nobody_may_stand_anywhere_unless_it_looks_all_around(fov_azimuth_rad):
+    ticks = hovering(6, 4, 8, detector=Detector(P_D=0.9, false_per_set=1e-6))
+    for tick in ticks:
+        tick.sets[3] = np.zeros((0, 3))
+    config = AgentConfig(detector=Detector(fov_azimuth_rad=fov_azimuth_rad))
+    frames = window_of(ticks).frames
+    view = finished(place_view(config, frames, np.arange(4), tracked(ticks), np.zeros((4, 3, 4, 3))))[0]
+    looks_away = fov_azimuth_rad < 2  # from all three others there is such a direction
+    assert (view.V[2] == (0.0 if looks_away else places.NO_YAW)).all()
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 5])
