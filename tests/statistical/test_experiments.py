@@ -149,7 +149,7 @@ NARROW = ("faults.partitions=[]", "faults.processes=[]", "fleet.duration_s=10.0"
 
 
 @pytest.mark.statistical
-@pytest.mark.parametrize(("fov_azimuth_rad", "seed", "localised"), [(3.14, 1, 0), (3.14, 2, 1), (4.2, 4, 7)])
+@pytest.mark.parametrize(("fov_azimuth_rad", "seed", "localised"), [(3.14, 1, 0), (3.14, 2, 1), (4.2, 4, 6)])
 def test_detectors_that_do_not_look_all_around_tell_less_but_nothing_wrong(fov_azimuth_rad, seed, localised):
     """Some see nobody, and may stand wherever somebody is seen."""
     changes = (f"world.detector.fov_azimuth_rad={fov_azimuth_rad}", *NARROW)
