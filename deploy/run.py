@@ -205,7 +205,7 @@ def _processes(
         networks = Path(name)
         where = places or fleet.on_one_host(experiment.fleet, networks)
         table = fleet.processes(experiment.fleet, folder.resolve(), networks, epoch, where, faults, view)
-        return supervisor.run(table, folder / "logs", show, director)
+        return supervisor.run(table, folder / "logs", show, director, display.say)
 
 
 def _in_process(experiment: Experiment, folder: Path, epoch: int, display: Display) -> Outcome:

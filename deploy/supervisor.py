@@ -11,7 +11,7 @@ import os
 import signal
 from asyncio.subprocess import DEVNULL, PIPE
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -41,10 +41,15 @@ class _Running:
     log: Path
     ready: asyncio.Event = field(default_factory=asyncio.Event)
     stopped: bool = False  # by the director: it need not end by itself
+    halted: str = ""  # by this signal from outside, and not continued since
 
 
 def run(
-    table: tuple[Process, ...], logs: Path, progress: Callable[[bytes], None], director: Director | None = None
+    table: tuple[Process, ...],
+    logs: Path,
+    progress: Callable[[bytes], None],
+    director: Director | None = None,
+    say: Callable[[str], None] = lambda _: None,
 ) -> Outcome:
     """Runs all processes to the end; afterwards none is left.
 
@@ -53,13 +58,14 @@ def run(
         logs: directory for one <name>.txt each.
         progress: is called with every line of those that report; what it raises ends the run and is raised here.
         director: has processes killed, stopped and restarted.
+        say: is told which process somebody else has stopped, and when it goes on.
     """
-    return asyncio.run(_run(table, _Crew(table, logs, progress, director), director))
+    return asyncio.run(_run(table, _Crew(table, logs, progress, director, say), director))
 
 
 async def _run(table: tuple[Process, ...], crew: "_Crew", director: Director | None) -> Outcome:
     interrupt = asyncio.Event()
-    with _signals(interrupt):
+    with _signals(dict.fromkeys(_ENDS, interrupt.set) | {signal.SIGCHLD: crew.notice_halts}):
         directing: asyncio.Task[None] | None = None
         try:
             for row in table:
@@ -71,7 +77,7 @@ async def _run(table: tuple[Process, ...], crew: "_Crew", director: Director | N
                     await crew.await_ready(row.name, interrupt)
             if director is not None:
                 directing = asyncio.create_task(director.direct(crew))
-            outcome = await crew.watch(interrupt, directing)
+            outcome = crew.with_halts(await crew.watch(interrupt, directing))
         finally:
             if directing is not None:
                 directing.cancel()
@@ -92,9 +98,10 @@ class _Crew:
         logs: Path,
         progress: Callable[[bytes], None],
         director: Director | None,
+        say: Callable[[str], None],
     ) -> None:
         self._rows = {row.name: row for row in table}
-        self._logs, self._progress, self._director = logs, progress, director
+        self._logs, self._progress, self._director, self._say = logs, progress, director, say
         self._running: dict[str, _Running] = {}
         self._readers: list[asyncio.Task[None]] = []
         self._changed = asyncio.Event()
@@ -142,6 +149,25 @@ class _Crew:
         _signal(self._running[name], signal.SIGCONT)
         self._running[name].stopped = False
 
+    def notice_halts(self) -> None:
+        """Who has been stopped or continued, by whom else than the director?"""
+        for name, one in self._running.items():
+            with contextlib.suppress(ChildProcessError):  # it has ended, which is noticed elsewhere
+                told = os.waitid(os.P_PID, one.child.pid, os.WSTOPPED | os.WCONTINUED | os.WNOHANG)
+                if told is None:
+                    continue
+                if told.si_code == os.CLD_STOPPED and not one.stopped:
+                    one.halted = signal.Signals(told.si_status).name
+                    self._say(f"{name} was stopped by {one.halted}; kill -CONT {one.child.pid} lets it go on")
+                elif told.si_code == os.CLD_CONTINUED and one.halted:
+                    one.halted = ""
+                    self._say(f"{name} goes on")
+
+    def with_halts(self, outcome: Outcome) -> Outcome:
+        """What others complain of is the fault of who stands still."""
+        halts = [f"{name} was stopped by {one.halted}" for name, one in self._running.items() if one.halted]
+        return replace(outcome, failure="; then ".join([*halts, outcome.failure])) if outcome.failure else outcome
+
     def tell(self, name: str, line: bytes) -> None:
         pipe = self._running[name].child.stdin
         assert pipe is not None
@@ -188,7 +214,7 @@ class _Crew:
                     if one.row.ends == "whenever" or not one.ended.done():
                         continue
                     if one.ended.result() != 0 or one.row.ends == "when told":
-                        return Outcome(failure=_words(one) + _stopped(running))
+                        return Outcome(failure=_words(one))
                 awaited = [one for one in running if one.row.ends == "by itself" and not one.stopped]
                 left = [one for one in awaited if not one.ended.done()]
                 if not left:
@@ -201,7 +227,6 @@ class _Crew:
                     where = left[0].log
                     return Outcome(
                         failure=f"{first} ended, but {TOGETHER_S:g} s later these had not: {names} (log: {where})"
-                        + _stopped(running)
                     )
                 changed = asyncio.create_task(self._changed.wait())
                 unfinished = [*(one.ended for one in running), *self._readers]
@@ -233,6 +258,8 @@ async def _stop(running: list[_Running], patience_s: float) -> None:
     left = [one for one in running if not one.ended.done()]
     for one in left:
         _signal(one, signal.SIGTERM)
+        _signal(one, signal.SIGCONT)  # who was stopped could not heed it
+        one.halted = ""
     if left:
         await asyncio.wait([one.ended for one in left], timeout=patience_s)
     for one in running:
@@ -255,29 +282,18 @@ def _words(one: _Running) -> str:
     return f"{one.row.name} ended early ({why}){last} (log: {one.log})"
 
 
-def _stopped(running: list[_Running]) -> str:
-    """Who of them has been stopped, but not by the director: it may be why others failed (Linux only)."""
-    names = []
-    for one in running:
-        with contextlib.suppress(OSError):
-            state = Path(f"/proc/{one.child.pid}/stat").read_text().rpartition(") ")[2][0]
-            if state == "T" and not one.stopped:
-                names.append(one.row.name)
-    return f"; stopped by a signal: {', '.join(names)}" if names else ""
-
-
 _ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @contextlib.contextmanager
-def _signals(interrupt: asyncio.Event) -> Iterator[None]:
+def _signals(handlers: dict[signal.Signals, Callable[[], None]]) -> Iterator[None]:
     """Afterwards the signals do what they did before."""
-    loop, before = asyncio.get_running_loop(), {number: signal.getsignal(number) for number in _ENDS}
-    for number in _ENDS:
-        loop.add_signal_handler(number, interrupt.set)
+    loop, before = asyncio.get_running_loop(), {number: signal.getsignal(number) for number in handlers}
+    for number, handler in handlers.items():
+        loop.add_signal_handler(number, handler)
     try:
         yield
     finally:
-        for number in _ENDS:
+        for number in handlers:
             loop.remove_signal_handler(number)
             signal.signal(number, before[number])

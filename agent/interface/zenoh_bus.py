@@ -1,6 +1,7 @@
 """How do messages travel between processes? The bus over Zenoh. The only module that imports zenoh."""
 
 import json
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
@@ -12,7 +13,7 @@ from agent.interface.bus import CAPACITY, POLL_S, BusError, Packet
 from agent.interface.messages import MAX_BYTES, Rejected
 
 LEASE_S = 2.0  # real time: after so much silence a frozen or cut-off process counts as gone ...
-LOSSLESS_LEASE_S = 60.0  # ... in lockstep it is waited for
+LOSSLESS_LEASE_S = 86_400.0  # ... in lockstep it is waited for
 
 
 class Token(NamedTuple):
@@ -42,7 +43,7 @@ class ZenohBus:
         try:
             self._session = zenoh.open(_config(network))
         except zenoh.ZError as error:
-            raise BusError(f"{network.name}: cannot open the network: {error}") from None
+            raise BusError(f"{network.name}: cannot open the network: {_said(error)}") from None
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._alive: dict[str, zenoh.LivelinessToken] = {}
 
@@ -97,21 +98,25 @@ class ZenohBus:
                 clock.sleep_until(clock.now_s() + 0.01)
 
     def close(self) -> None:
-        """Once all that was published has been taken.
-
+        """
         Raises:
-            BusError: somebody does not take it.
+            BusError: somebody did not take what was sent to it.
         """
         try:
             self._session.close()  # type: ignore[no-untyped-call]
-        except zenoh.ZError:  # its words are those of Zenoh's source
-            raise BusError(f"{self.network.name}: somebody does not take what was sent to it") from None
+        except zenoh.ZError as error:
+            words = f"{self.network.name}: cannot leave the network, somebody does not take what was sent"
+            raise BusError(f"{words}: {_said(error)}") from None
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            self.close()
+        except BusError:
+            if kind is None:  # else it is what came first that counts
+                raise
 
 
 class ZenohInbox:
@@ -151,6 +156,11 @@ class ZenohTokens:
 
     def __exit__(self, *_: object) -> None:
         self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+
+
+def _said(error: zenoh.ZError) -> str:
+    """Without where in Zenoh's source it says so."""
+    return re.sub(r" at \S+\.rs:\d+\.", "", str(error))
 
 
 def _may_be_lost(key: str) -> bool:

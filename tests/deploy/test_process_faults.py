@@ -151,7 +151,9 @@ def test_a_director_has_the_dead_not_mourned_and_the_stopped_not_awaited(tmp_pat
     verbs = (ProcessFault(mav=1, do="kill", at_s=0.1), ProcessFault(mav=2, do="stop", at_s=0.2))
     director = Director(Faults(processes=(*verbs, ProcessFault(mav=3, do="join", at_s=0.2))), Fleet(mavs=3))
     lines: list[bytes] = []
-    outcome = supervisor.run(table, tmp_path, lines.append, director)
+    halts: list[str] = []
+    outcome = supervisor.run(table, tmp_path, lines.append, director, halts.append)
+    assert not halts  # they are the director's
     assert outcome.failure is not None  # this recorder does not survive SIGTERM
     assert outcome.failure.startswith("recorder ended early (killed by SIGTERM)")
     assert [json.loads(text) for text in (tmp_path / "said").read_text().splitlines()] == [

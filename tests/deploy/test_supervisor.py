@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import psutil
@@ -119,23 +120,6 @@ def test_one_that_leaves_the_others_waiting_is_named(crew: Crew) -> None:
 
 
 @pytest.mark.usefixtures("impatient")
-def test_one_that_somebody_has_stopped_is_named_where_another_fails(crew: Crew) -> None:
-    def stop_and_kill(pids: list[int]) -> None:
-        os.kill(pids[0], signal.SIGSTOP)
-        os.waitid(os.P_PID, pids[0], os.WSTOPPED | os.WNOWAIT)
-        os.kill(pids[1], signal.SIGKILL)
-
-    outcome = crew.run(row("world", WAIT), row("mav_1", WAIT), act=stop_and_kill)
-    assert outcome.failure is not None
-    failed, stopped = (
-        outcome.failure.partition(" ended early")[0],
-        outcome.failure.rpartition("stopped by a signal: ")[2],
-    )
-    assert {failed, stopped} == {"world", "mav_1"}
-    crew.assert_none_left()
-
-
-@pytest.mark.usefixtures("impatient")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_ctrl_c_ends_all_also_those_that_do_not_heed_sigterm_or_are_frozen(crew: Crew, number: signal.Signals) -> None:
     def interrupt(pids: list[int]) -> None:
@@ -184,6 +168,58 @@ supervisor.run(table, Path({str(tmp_path)!r}), lambda line: print(int(line), flu
         launcher.kill()
     for pid in children:
         await_end(pid)  # or this test would not
+
+
+class Halting:
+    """Stops from outside who is ready first, and does something as soon as the supervisor has noticed."""
+
+    def __init__(self, act: Callable[[list[int], str], None]) -> None:
+        self.act, self.pids, self.said = act, [], []
+
+    def run(self, logs: Path, *table: Process) -> Outcome:
+        def ready(line: bytes) -> None:
+            self.pids.append(int(line))
+            if len(self.pids) == len(table):
+                os.kill(self.pids[0], signal.SIGSTOP)
+
+        def say(words: str) -> None:
+            self.said.append(words)
+            self.act(self.pids, words)
+
+        return supervisor.run(table, logs, ready, say=say)
+
+
+def test_who_is_stopped_from_outside_is_named_and_goes_on(crew: Crew) -> None:
+    def let_it_go_on(pids: list[int], words: str) -> None:
+        os.kill(pids[0], signal.SIGTERM if words == "mav_1 goes on" else signal.SIGCONT)
+
+    halting = Halting(let_it_go_on)
+    assert halting.run(crew.logs, row("mav_1", NOTED)) == Outcome()
+    pid = halting.pids[0]
+    assert halting.said == [f"mav_1 was stopped by SIGSTOP; kill -CONT {pid} lets it go on", "mav_1 goes on"]
+
+
+def test_what_others_do_meanwhile_is_put_down_to_who_is_stopped(crew: Crew) -> None:
+    halting = Halting(lambda pids, _: os.kill(pids[1], signal.SIGKILL))
+    outcome = halting.run(crew.logs, row("recorder", NOTED, "when told"), row("world", WAIT))
+    assert outcome.failure is not None
+    stopped = halting.said[0].partition(" ")[0]
+    (killed,) = {"recorder", "world"} - {stopped}
+    assert outcome.failure.startswith(
+        f"{stopped} was stopped by SIGSTOP; then {killed} ended early (killed by SIGKILL)"
+    )
+
+
+def test_who_is_stopped_is_continued_when_all_are_to_end(crew: Crew) -> None:
+    last = (
+        "import signal, sys; signal.signal(signal.SIGTERM, lambda *_: open(sys.argv[1], 'w').close() or sys.exit(0));"
+    )
+    heeding = row("recorder", last + WAIT, "when told")
+    recorder = replace(heeding, command=(*heeding.command, str(crew.logs / "saved")))
+    halting = Halting(lambda *_: os.kill(os.getpid(), signal.SIGINT))
+    assert halting.run(crew.logs, recorder, row("world", WAIT)) == Outcome(interrupted=True)
+    assert (crew.logs / "saved").exists()
+    assert len(halting.said) == 1
 
 
 @pytest.mark.usefixtures("impatient")
