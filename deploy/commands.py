@@ -18,7 +18,8 @@ def run(chosen: argparse.Namespace) -> int:
     from deploy import results, terminal
     from deploy.composition import check
     from deploy.experiment import load
-    from deploy.run import folder_for, run
+    from deploy.run import run
+    from deploy.run_folder import folder_for
     from deploy.supervisor import Outcome
     from deploy.view import look, window
 
@@ -55,7 +56,7 @@ def study(chosen: argparse.Namespace) -> int:
     from agent.interface.tables import BadExperiment
     from deploy import study, terminal
     from deploy.experiment import load
-    from deploy.run import CLAIM, folder_for
+    from deploy.run_folder import CLAIM, folder_for
 
     bounds = re.fullmatch(r"([0-9]{1,9}):([0-9]{1,9})", chosen.seeds)
     seeds = range(int(bounds[1]), int(bounds[2])) if bounds else range(0)
@@ -108,7 +109,7 @@ def score(chosen: argparse.Namespace) -> int:
 def report(chosen: argparse.Namespace) -> int:
     from agent.interface.tables import BadExperiment
     from deploy.page import build
-    from deploy.run import new_folder
+    from deploy.run_folder import new_folder
 
     if chosen.paper:
         return _paper(chosen)
@@ -178,7 +179,8 @@ def record(chosen: argparse.Namespace) -> int:
     from agent.interface.tables import BadExperiment
     from deploy import by_hand, results, terminal
     from deploy.experiment import load
-    from deploy.run import folder_for, score
+    from deploy.run import score
+    from deploy.run_folder import folder_for
 
     experiment = load(chosen.experiment, chosen.set)
     where = by_hand.places(chosen.network, experiment)

@@ -21,6 +21,7 @@ from deploy.log import BadLog, LogWriter, Origin, read_log
 from deploy.peek import peek
 from deploy.process_faults import Director
 from deploy.progress import Progress, Watch
+from deploy.run_folder import CLAIM
 from deploy.supervisor import Outcome
 from deploy.terminal import Display
 
@@ -28,7 +29,6 @@ if TYPE_CHECKING:  # slow to import: a mistake in the words is answered at once
     from deploy.summary import Analysis, Circumstances
 
 PROGRESS_S = 0.5
-CLAIM = "experiment.toml"  # the file that makes a folder ours; what is flown is written into it
 EPOCHS = range(2**30, 2**31)  # the messages of all runs are of the same length, which a bandwidth limit is about
 
 
@@ -43,44 +43,6 @@ class NothingRecorded(Exception):
 
 class NotScored(Exception):
     """There is a recording, but scoring it failed; the message says why, and where the log is."""
-
-
-def folder_for(experiment: str, out: Path | None) -> Path:
-    """Where the results go: a directory that was not there, or empty. It is made here, before anything is started, and
-    claimed: nobody else can have it any more.
-
-    Raises:
-        BadExperiment: there is something, or it cannot be made.
-    """
-    folder = new_folder(experiment) if out is None else out
-    try:
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise FileExistsError
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / CLAIM).touch(exist_ok=False)
-    except FileExistsError:
-        raise BadExperiment(f"--out {folder}: expected a directory that does not exist yet or is empty") from None
-    except OSError as error:
-        raise BadExperiment(f"--out {folder}: cannot be made: {error.strerror}") from None
-    return folder
-
-
-def new_folder(name: str) -> Path:
-    """In runs/, named after the time; with a number, too, if there is one of that second.
-
-    Raises:
-        BadExperiment: it cannot be made.
-    """
-    named = f"{name}-{clock.utc_text()}"
-    for folder in (Path("runs", named), *(Path("runs", f"{named}-{n}") for n in range(2, 1000))):
-        try:
-            folder.mkdir(parents=True)
-        except FileExistsError:
-            continue
-        except OSError as error:
-            raise BadExperiment(f"{folder}: cannot be made: {error.strerror}") from None
-        return folder
-    raise BadExperiment(f"runs/{named}: there are a thousand of that second")
 
 
 def run(

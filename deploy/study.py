@@ -92,15 +92,9 @@ def jobs(source: str, changes: list[str], seeds: range, grid: list[str]) -> list
     for cell in itertools.product(*dimensions):
         cell_changes = (*changes, *(f"{path}={text}" for path, text in cell))
         settings = {path: value(text.strip(), f"{path}={text}") for path, text in cell}
+        experiment = load(source, cell_changes, seeds[0])
+        check(experiment, in_process=True)
         made += [Job(source, cell_changes, settings, seed) for seed in seeds]
-        for job in made[-len(seeds) :]:
-            try:
-                experiment = load(source, cell_changes, job.seed)
-                check(experiment, in_process=True)
-            except BadExperiment as error:
-                raise (error if job.seed == seeds[0] else BadExperiment(f"{job.words()}: {error}")) from None
-            if not experiment.world.get("path"):
-                break  # recorded flights take long to read, and are the same files for every seed
     return made
 
 

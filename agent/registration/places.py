@@ -101,7 +101,8 @@ def _row(config: AgentConfig, scene: _Scene, sets: list[Array], V: Array, yaw: A
     if not config.detector.sees_all_around:  # it may look away from all of them
         place = np.concatenate([place, np.repeat(np.arange(n), LOOKS)])
         psi = np.concatenate([psi, np.tile(np.linspace(-np.pi, np.pi, LOOKS, endpoint=False), n)])
-    if not len(place):
+    yaws = len(place)
+    if not yaws:
         return len(hits.place)
     newest = hits.frame == F - 1
     before = np.concatenate([[0], np.cumsum(newest)])
@@ -112,7 +113,7 @@ def _row(config: AgentConfig, scene: _Scene, sets: list[Array], V: Array, yaw: A
     score = _score(config, scene, hits, place, psi, list(range(F)))
     for k in np.argsort(score, kind="stable"):
         V[place[k]], yaw[place[k]] = score[k], psi[k]
-    return len(hits.place) + len(near) * len(last.place) // n
+    return len(hits.place) + yaws * len(last.place) // n
 
 
 def _hits(config: AgentConfig, scene: _Scene, sets: list[Array]) -> _Hits:

@@ -183,11 +183,3 @@ def test_a_bad_study(words: list[str], complaint: str, tmp_path: Path, capsys: p
     assert main(["study", "line", *words, "--out", str(tmp_path / "out")]) == 2
     assert complaint in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-
-
-def test_a_study_checks_every_seed_before_the_first_flies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """In a box of 3.2 m seven MAVs find random places by the seeds 0 and 1, but not by 2."""
-    box = ["--set", "world.path.0.size_m=[3.2, 3.2, 0.1]"]
-    assert main(["study", "cold_start", *box, "--seeds", "0:3", "--out", str(tmp_path / "out")]) == 2
-    assert capsys.readouterr().err.startswith("swarm: seed 2: world.path[0].size_m = [3.2, 3.2, 0.1]: ")
-    assert not (tmp_path / "out").exists()

@@ -149,10 +149,9 @@ NARROW = ("faults.partitions=[]", "faults.processes=[]", "fleet.duration_s=10.0"
 
 
 @pytest.mark.statistical
-@pytest.mark.parametrize(("fov_azimuth_rad", "seed", "localised"), [(3.14, 1, 0), (3.14, 2, 1), (4.2, 4, 6)])
-def test_detectors_that_do_not_look_all_around_tell_less_but_nothing_wrong(fov_azimuth_rad, seed, localised):
+@pytest.mark.parametrize(("fov_azimuth_rad", "share"), [(3.14, 0.0), (4.2, 0.5)])
+def test_detectors_that_do_not_look_all_around_tell_less_but_nothing_wrong(fov_azimuth_rad, share):
     """Some see nobody, and may stand wherever somebody is seen."""
-    changes = (f"world.detector.fov_azimuth_rad={fov_azimuth_rad}", *NARROW)
-    runs = summaries("cut_and_crash", *changes, seeds=range(seed, seed + 1))
+    runs = summaries("cut_and_crash", f"world.detector.fov_azimuth_rad={fov_azimuth_rad}", *NARROW, seeds=range(3))
     assert total_wrong(runs) == 0
-    assert sum(time_s < math.inf for time_s in localised_at_s(runs)) >= localised
+    assert np.mean(np.isfinite(localised_at_s(runs))) > share

@@ -22,7 +22,10 @@ def followed(ticks, names=None, placed=None):
     return made
 
 
-def challenged(made, ticks, team=None, config=AgentConfig()):  # noqa: B008
+CONFIG = AgentConfig()
+
+
+def challenged(made, ticks, team=None, config=CONFIG):
     mavs = len(ticks[0].truth)
     team = np.arange(mavs) == 0 if team is None else team
     return finished(challenge(config, made, 0, window_of(ticks).frames[-places.FRAMES :], team))[0]
