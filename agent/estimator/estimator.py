@@ -19,8 +19,9 @@ import numpy as np
 import numpy.typing as npt
 
 from agent.config import AgentConfig
-from agent.estimator import cpdaf, odometry_model
+from agent.estimator import cpdaf, odometry_model, visibility
 from agent.estimator.gating import chi_square_quantile
+from agent.estimator.innovations import Innovations
 from agent.estimator.joint_update import DetectionSet, joint_update
 from agent.estimator.membership import conditional, with_newcomers
 from agent.estimator.moments import LINEAR_YAW_VARIANCE, PoseMoments, detection_geometry, lifted, pose_moments
@@ -65,6 +66,7 @@ class Snapshot(NamedTuple):
     members: list[int]
     prior: Prior | None
     moments: PoseMoments | None  # of the state
+    in_view: Array
 
 
 class Estimator:
@@ -82,6 +84,7 @@ class Estimator:
         self._state: State | None = None
         self._before: PoseMoments | None = None  # of the state
         self._motion = Motion.begin(Model.of(config, fleet), fleet.mavs)
+        self._in_view = np.ones(fleet.mavs)  # probabilities, see `visibility`
         self.members: list[int] = []  # MAV numbers, ascending
         self.counts = NOTHING
 
@@ -107,6 +110,7 @@ class Estimator:
         z = np.concatenate([readings, np.zeros((1, 4))])  # the start has not moved
         step = self._motion.step(z, np.append(between, 0))
         self._motion = step.motion
+        self._in_view = visibility.later(self._in_view, step.motion.silent[:-1], 1 / self._fleet.rate_hz)
         if self._state is None:
             self._begin(z)
         else:
@@ -183,6 +187,8 @@ class Estimator:
         if self._state is None or len(self.members) == 1:
             return
         left = [s for s in sets if s.station in self.members]
+        if self._in_view.min() < 1 and not any(s.labels is not None for s in left):
+            self._look_for_silent(left)
         if self._rules.evaluation and self._poses.Sigma[3::4, 3::4].diagonal().max() <= LINEAR_YAW_VARIANCE:
             density = self._config.detector.clutter_density
             among = [
@@ -195,6 +201,18 @@ class Estimator:
             left = [s for s in left if self._row(s.station) + 1 in again]
         for station, spherical, labels in left:
             self.associate(station, spherical, labels)
+
+    def _look_for_silent(self, sets: list[DetectionSet]) -> None:
+        """From here on in this tick, their P_D is multiplied by the probability that they are in view, before it."""
+        rows, spherical = self._rows[:-1], [s.spherical for s in sets]
+        in_view = np.append(self._in_view[rows], 1.0)
+        stations = np.array([self._row(s.station) for s in sets], np.intp)
+        found = Innovations.of(self._poses, self._pairs, stations, spherical) if any(map(len, spherical)) else None
+        density = self._config.detector.clutter_density
+        after = visibility.looked_for(in_view, self._pairs, stations, found, density)
+        self._pairs = self._pairs._replace(P_D=self._pairs.P_D * in_view)
+        self._in_view = self._in_view.copy()
+        self._in_view[rows] = after[:-1]
 
     def _count(self, distances: Array, lost_mass: float) -> None:
         before, inside = self.counts, int((distances <= self._gate_95).sum())
@@ -292,11 +310,11 @@ class Estimator:
 
     def snapshot(self) -> Snapshot:
         """All that is known between two ticks. It costs nothing: arrays are replaced, never changed."""
-        return Snapshot(self._state, self._motion, self.members, self._prior, self._before)
+        return Snapshot(self._state, self._motion, self.members, self._prior, self._before, self._in_view)
 
     def restore(self, then: Snapshot) -> None:
         """Goes back to where it was."""
-        self._state, self._motion, self.members, self._prior, self._before = then
+        self._state, self._motion, self.members, self._prior, self._before, self._in_view = then
         if then.moments is not None:
             self._poses = then.moments.poses
 

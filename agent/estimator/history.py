@@ -214,6 +214,12 @@ class History:
         """Who is in the filter: MAV numbers, ascending."""
         return self._estimator.members
 
+    @property
+    def silence_s(self) -> Array:
+        """(N,) since the last odometry reading of each MAV, members or not."""
+        silence: Array = self._estimator.motion.unheard[:-1] / self._fleet.rate_hz
+        return silence
+
     def team(self, tick: int) -> Team | None:
         """Who was in the filter after this tick, and where; None if that is not known any more."""
         if tick == self._now:

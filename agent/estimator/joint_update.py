@@ -20,12 +20,12 @@ import numpy.typing as npt
 from scipy.linalg import lapack
 
 from agent.estimator.cpdaf import Rules
-from agent.estimator.detection_model import cartesian
+from agent.estimator.innovations import Innovations, yaw_column
 from agent.estimator.small_matrices import inverses
 from agent.estimator.state import Poses
 from agent.estimator.station_update import Pairs
 from agent.estimator.weights import Misses, miss_odds
-from agent.interface.frames import Array, rotate_z
+from agent.interface.frames import Array
 
 Index = npt.NDArray[np.intp]
 
@@ -97,58 +97,21 @@ def _edges(
     poses: Poses, pairs: Pairs, sets: list[DetectionSet], rules: Rules, told: bool
 ) -> tuple[_Edges, npt.NDArray[np.bool_]]:
     """The associated pairs of the unambiguous sets, and by body whether its set is one of these."""
-    counts = [len(s.spherical) for s in sets]
-    stations = np.repeat([s.station - 1 for s in sets], counts).astype(np.intp)
-    within = np.concatenate([np.arange(n) for n in counts]) if counts else np.zeros(0, dtype=np.intp)
-    bodies, most = len(pairs.P_D), max(counts, default=0)
-    clear = np.ones(bodies, dtype=bool)
-    if not len(stations):
+    of, counts = np.array([s.station - 1 for s in sets], np.intp), [len(s.spherical) for s in sets]
+    clear = np.ones(len(pairs.P_D), dtype=bool)
+    if not any(counts):
         none = np.zeros(0, dtype=np.intp)
         return _Edges(none, none, np.zeros((0, 3)), np.zeros(0)), clear
-    vectors = cartesian(np.concatenate([s.spherical for s in sets]))
-    z = np.full((bodies, most, 3), np.nan)
-    z[stations, within] = rotate_z(poses.by_body[stations, 3], vectors)
-    nu = z[:, None] - pairs.lines[:, :, None]  # (station, target, detection, 3)
-    distance = ((nu @ inverses(_innovation_covariances(poses, pairs)).inverse.reshape(bodies, bodies, 3, 3)) * nu).sum(
-        3
-    )
+    nu, distance, _ = Innovations.of(poses, pairs, of, [s.spherical for s in sets])
     if told:
         label = np.concatenate([s.labels for s in sets if s.labels is not None])
         true = label > 0
-        s, t, m = stations[true], label[true] - 1, within[true]
+        s, t, m = of.repeat(counts)[true], label[true] - 1, np.concatenate([np.arange(n) for n in counts])[true]
     else:
         inside = (distance <= rules.gate_threshold) & (pairs.P_D > 0)[:, :, None]
         clear = (inside.sum(2).max(1) <= 1) & (inside.sum(1).max(1) <= 1)
         s, t, m = (inside & clear[:, None, None]).nonzero()
     return _Edges(s, t, nu[s, t, m], distance[s, t, m]), clear
-
-
-def _innovation_covariances(poses: Poses, pairs: Pairs) -> Array:
-    """(B * B, 3, 3) S of every pair on its own, sensor noise included."""
-    bodies = len(pairs.P_D)
-    T = poses.Sigma.reshape(bodies, 4, bodies, 4)
-    every = np.arange(bodies)
-    W = T[:, :3, :, :3].transpose(0, 2, 1, 3)  # cov(p_a, p_b)
-    own = W[every, every]
-    with_yaw = T[:, :3, :, 3]  # cov(p_a, psi_s) as [a, :, s]
-    J = _yaw_column(pairs.lines)
-    half = (
-        with_yaw.transpose(2, 0, 1)
-        - with_yaw[every, :, every][:, None]
-        + 0.5 * T[every, 3, every, 3][:, None, None] * J
-    )
-    S = own[:, None] + own - W - W.transpose(1, 0, 2, 3) + pairs.R
-    turn = J[..., :, None] * half[..., None, :]
-    S += turn
-    S += turn.swapaxes(2, 3)
-    return S.reshape(-1, 3, 3)
-
-
-def _yaw_column(lines: Array) -> Array:
-    """d h / d psi_s in levelled axes."""
-    J = np.zeros_like(lines)
-    J[..., 0], J[..., 1] = lines[..., 1], -lines[..., 0]
-    return J
 
 
 class _Block(NamedTuple):
@@ -168,7 +131,7 @@ class _Block(NamedTuple):
         for k in range(3):
             by_body[which, k, edges.target, k] = 1.0
             by_body[which, k, edges.station, k] = -1.0
-        by_body[which, :, edges.station, 3] = _yaw_column(pairs.lines[edges.station, edges.target])
+        by_body[which, :, edges.station, 3] = yaw_column(pairs.lines[edges.station, edges.target])
         H = by_body.reshape(E, 3, n)
         R_inverse = inverses(pairs.R[edges.station, edges.target]).inverse
         RH = R_inverse @ H

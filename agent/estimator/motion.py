@@ -28,6 +28,7 @@ FADING_S = 1.0  # time constant
 MEMORY_S = 5.0  # of how good guesses were
 FIRST = (0.3, 0.1)  # m/s^2 per axis, rad/s^2: manoeuvres as long as nothing is known of them
 LEAST = (0.02, 0.005)  # m/s^2, rad/s^2: nobody is believed to stay for good
+SETS_OUT = (0.25, 0.1)  # m/s per axis, rad/s: so fast flies, in the end, also who was at rest when last heard
 MOST = (5.0, 5.0)  # m/s^2, rad/s^2: nothing more is learnt from a guess that was off by more than this makes
 FIRST_COUNTS = 20.0  # errors that FIRST is worth
 FASTEST_M_S, FASTEST_RAD_S = 15.0, 10.0  # beyond, an odometry has not flown but begun anew
@@ -166,6 +167,11 @@ class Motion:
         moved = Motion(model, past, velocities, here, unheard, between, errors, counts)
         return Step(moved, increments, sigma, coasting)
 
+    @property
+    def silent(self) -> Mask:
+        """(N + 1,) who was not heard for longer than guesses are judged for."""
+        return np.asarray(self.unheard > self.model.horizon)
+
     def _velocity(self, z: Array, heard: Mask) -> Array:
         """(N + 1, 4) per tick: the mean of the last increments, less what drift alone would make of it."""
         model = self.model
@@ -211,12 +217,19 @@ class Motion:
         horizon, spread = self.model.horizon, self._spread()
         within = np.minimum(ticks, horizon)
         growth = spread[within] - spread[within - 1]
-        # Then the velocity fades, which may be wrong: as an Ornstein-Uhlenbeck process of that variance would move.
-        if (ticks > horizon).any():
+        beyond = ticks > horizon
+        if beyond.any():
             square = np.stack([(velocity[:, :3] ** 2).mean(1), velocity[:, 3] ** 2], axis=1)
-            walk = 2 * FADING_S / self.model.tick_s * square
-            growth = np.where((ticks > horizon)[:, None], np.maximum(growth, walk), growth)
+            growth = np.where(beyond[:, None], np.maximum(growth, self._walk(ticks, square)), growth)
         return np.asarray(growth + 2 * self.model.reading[[0, 3]])
+
+    def _walk(self, ticks: Ticks, square: Array) -> Array:
+        """(n, 2) the same for velocities of these squares (n, 2) that fade, if those that take their place are of an
+        Ornstein-Uhlenbeck process that begins at the horizon."""
+        tick_s = self.model.tick_s
+        begun = 1 - self._fading(ticks)
+        square = square + (np.array(SETS_OUT) * tick_s) ** 2
+        return np.asarray(2 * FADING_S / tick_s * square * (begun * begun)[:, None])
 
     def _fading(self, ticks: Ticks) -> Array:
         """(n,) of the velocity, so many ticks (n,) after the last reading."""

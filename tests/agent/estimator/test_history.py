@@ -14,6 +14,7 @@ from agent.interface.messages import LOCALISED
 from tests import links, team
 
 MAVS, STATION, LAG = 4, 2, 10
+RECTANGLE = np.array([[0, 0, 1.5], [2, 0, 1.5], [2, 3, 1.5], [0, 3, 1.5]], float)
 
 
 def flown(seed=0, mavs=MAVS, ticks=40, path=team.circling):
@@ -130,23 +131,37 @@ def test_covariances_stay_symmetric_and_positive_whatever_is_lost_and_late(seed)
         assert np.linalg.eigvalsh((P + P.T) / 2)[0] > -1e-12
 
 
+def unseen(ticks, mav, when):
+    """The same ticks, but that nobody detects this MAV `when` (tick numbers)."""
+    hidden = [tick._replace(sets=dict(tick.sets), labels=dict(tick.labels)) for tick in ticks]
+    for k in when:
+        sets, labels = hidden[k].sets, hidden[k].labels
+        for station in sets:
+            seen = labels[station] != mav
+            sets[station], labels[station] = sets[station][seen], labels[station][seen]
+    return hidden
+
+
 def test_who_is_gone_grows_uncertain_without_bound_and_is_not_forgotten():
-    ticks = flown(5, ticks=140)
-    blind = [tick._replace(sets=dict(tick.sets), labels=dict(tick.labels)) for tick in ticks]
-    arrived = links.faulty(np.random.default_rng(5), blind, STATION, lost=lambda k, mav: mav == 4 and k > 30)
-    for k, tick in enumerate(blind):  # nobody sees him either
-        if k > 30:
-            for mav in tick.sets:
-                unseen = tick.labels[mav] != 4
-                tick.sets[mav], tick.labels[mav] = tick.sets[mav][unseen], tick.labels[mav][unseen]
-    found = links.off(blind, list(links.fly(surveyed(ticks), blind, arrived, STATION)), STATION)
+    ticks = unseen(flown(5, ticks=240), 4, range(31, 240))
+    arrived = links.faulty(np.random.default_rng(5), ticks, STATION, lost=lambda k, mav: mav == 4 and k > 30)
+    found = links.off(ticks, list(links.fly(surveyed(ticks), ticks, arrived, STATION)), STATION)
     gone = 2  # of the others
     variance = np.trace(found.covariances[:, gone, :3, :3], axis1=1, axis2=2)
-    assert (np.diff(variance[31:]) > 0).all()
-    assert variance[139] - variance[138] > 0.5 * (variance[60] - variance[59])  # not slower and slower
-    assert np.linalg.norm(found.errors[139, gone, :3]) < 3  # it has not flown him away
+    assert (np.diff(variance[31:]) > 0).all()  # no false detection is him
+    assert variance[239] - variance[238] > 0.5 * (variance[60] - variance[59])  # not slower and slower
+    assert np.linalg.norm(found.errors[239, gone, :3]) < 3  # it has not flown him away
     squares = found.errors[31:, gone, :3] ** 2 / found.covariances[31:, gone, range(3), range(3)]
     assert squares.mean() < 4
+
+
+def test_who_comes_back_into_view_is_found_though_he_is_not_heard():
+    ticks = unseen(flown(5, ticks=110), 4, range(31, 100))
+    arrived = links.faulty(np.random.default_rng(5), ticks, STATION, lost=lambda k, mav: mav == 4 and k > 30)
+    found = links.off(ticks, list(links.fly(surveyed(ticks), ticks, arrived, STATION)), STATION)
+    error_m = np.linalg.norm(found.errors[:, 2, :3], axis=1)
+    assert error_m[99] > 0.5
+    assert error_m[103:].max() < 0.25
 
 
 def test_the_reading_that_ends_a_silence_is_believed():
@@ -202,6 +217,17 @@ def test_ticks_without_its_own_data_are_bridged(missed):
     found = links.off(ticks[-1:], [history.beliefs()], STATION)
     assert np.abs(found.errors[..., :3]).max() < 0.25
     assert (history.beliefs().states == LOCALISED).all()
+
+
+def test_who_is_not_heard_after_a_gap_is_not_localised():
+    """Back after 5 s in which a team that was at rest may have set out: one of them has not been heard yet."""
+    ticks = list(team.fly(np.random.default_rng(9), MAVS, 172, lambda _: RECTANGLE))
+    history = surveyed(ticks)
+    list(links.fly(history, ticks[:120], links.perfect(ticks, STATION)[:120], STATION))
+    for k, heard in ((170, (1, 2, 3)), (171, (1, 2, 3, 4))):
+        history.hear(k, {mav: ticks[k].odometry[mav] for mav in heard}, [])
+        history.estimate()
+        assert (history.beliefs().states == LOCALISED).tolist() == [mav in heard for mav in range(1, MAVS + 1)]
 
 
 @pytest.mark.parametrize("missed", [5, LAG, 3 * LAG, 300])

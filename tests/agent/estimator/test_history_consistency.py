@@ -56,7 +56,7 @@ def test_it_knows_how_wrong_it_is(network, path):
 @pytest.mark.parametrize("network", [{"delay": 5}, {"loss": 0.5, "burst": 10}])
 def test_one_that_believes_in_its_guesses_is_outside_the_band(network, monkeypatch):
     growth = Motion._growth
-    monkeypatch.setattr(Motion, "_growth", lambda *arguments: growth(*arguments) / 25)
+    monkeypatch.setattr(Motion, "_growth", lambda *arguments: growth(*arguments) / 100)
     assert anees(RUNS, **network)[0] > BAND[1]
 
 

@@ -41,6 +41,14 @@ def swing(ticks, amplitude=1.0, period_s=4.0):
     return amplitude * np.stack([np.cos(angle), np.sin(angle), 0 * angle, 0 * angle], axis=-1)
 
 
+def setting_out(ticks, rest=100, far_m=1.3, takes_s=5.0):
+    """All at rest, then as far as that, smoothly, in a direction each."""
+    share = np.clip((np.arange(ticks) - rest) / 10 / takes_s, 0, 1)[:, None]
+    smooth = far_m * (10 * share**3 - 15 * share**4 + 6 * share**5)
+    angle = 2 * np.pi * np.arange(MAVS) / MAVS
+    return np.stack([smooth * np.cos(angle), smooth * np.sin(angle), 0 * smooth * angle, 0 * smooth * angle], axis=-1)
+
+
 def off(path, lost_from, ticks, seeds):
     """(seeds, N) how far guesses are off in x after a silence, less drift, and what they said that they would be."""
     errors, said = [], []
@@ -64,6 +72,13 @@ def test_a_guess_is_as_far_off_as_it_says(path, ticks):
 @pytest.mark.parametrize("ticks", [3, 10])
 def test_one_who_hovers_is_surer_than_one_who_manoeuvres(ticks):
     assert off(hover(120), 100, ticks, 1)[1].mean() < 0.3 * off(swing(120), 100, ticks, 1)[1].mean()
+
+
+@pytest.mark.parametrize("ticks", [20, 30, 50])
+def test_who_is_silent_from_a_moment_of_rest_may_have_set_out(ticks):
+    errors, said = off(setting_out(160), 100, ticks, seeds=12)
+    assert np.sqrt(said.mean()) > AgentConfig().localised_sigma_m
+    assert (errors**2 / said).max() < 3.5**2
 
 
 def test_one_increment_is_not_believed_but_the_mean_of_several():
