@@ -53,6 +53,7 @@ class Agent:
         self._fleet, self._mav, self._epoch, self._bus = fleet, mav, epoch, bus
         self._patience_s = config.wait_for_peers_s if fleet.realtime else None
         self._localiser = Localiser(config, fleet, mav)
+        self._placed_sigma_m = config.localised_sigma_m
         self._pilot: Pilot | None = None
         if config.mission is not None:
             from agent.controller import pilot  # here, because only a mission needs an optimiser
@@ -222,15 +223,16 @@ class Agent:
         """What the controller wants to be flown, in the odometry frame."""
         if self._pilot is None:
             return self._hold.fly(odometry)
-        variances = beliefs.covariances[:, range(3), range(3)]
+        sigmas = np.sqrt(beliefs.covariances[:, range(3), range(3)].max(axis=1))
         return self._pilot.fly(
             Surroundings(
                 stamp_ns,
                 odometry,
                 beliefs.poses,
-                np.sqrt(variances.max(axis=1)),
+                sigmas,
                 self._localiser.frames(),
                 beliefs.states == messages.LOCALISED,
+                sigmas < self._placed_sigma_m,
                 np.array([state != messages.GONE for state in self._liveness.states]),
                 self._neighbours.intents(),
             )

@@ -74,7 +74,7 @@ class Pilot:
             self._next(here)
         wanted = self._sample(now)
         if self.intent.phase in (READY, FORMING, HOLDING, LOST):
-            near = here.localised & (np.arange(len(here.poses)) != self._mav - 1)
+            near = here.placed & (np.arange(len(here.poses)) != self._mav - 1)
             aside = push(here.odometry[:3], here.poses[near, :3], here.sigmas[near])
             return wanted._replace(position=wanted.position + aside)
         return wanted
@@ -109,7 +109,7 @@ class Pilot:
 
     def _set_out(self, here: Surroundings) -> None:
         """As soon as all are ready. At first there may be nothing to lose yet, but it is not waited for without end."""
-        if not self._team.is_known(here):
+        if not self._team.is_localised(here):
             if self.intent.formation > 0:
                 self._lose(here)
             else:
@@ -125,7 +125,7 @@ class Pilot:
 
     def _keep_to_goal(self, here: Surroundings) -> None:
         """If the estimate has moved it, plan anew; if there is none, stop."""
-        if not self._team.is_known(here):
+        if not self._team.is_placed(here):
             self._lose(here)
             return
         goal = self._team.goal(here, self.intent)
@@ -135,7 +135,7 @@ class Pilot:
             self._until_ns = due_ns
 
     def _look_around(self, here: Surroundings) -> None:
-        if self._team.is_known(here):
+        if self._team.is_localised(here):
             self._say(READY)
 
     def _lose(self, here: Surroundings) -> None:
@@ -164,7 +164,7 @@ class Pilot:
         if duration_s == math.inf:
             begin = Sample.rest(begin.position)
             duration_s = duration_within(begin, goal, self._limits, max(least_s, 0.0))
-        points = waypoints(begin.position, goal, here.poses[here.localised & ~here.present, :3])
+        points = waypoints(begin.position, goal, here.poses[here.placed & ~here.present, :3])
         self._plan = through(points, duration_s, begin, self._limits)
         self._goal, self._begun_ns, self._ends_ns = goal, now, now + _ns(self._plan.duration_s)
         self._until_ns = self._ends_ns

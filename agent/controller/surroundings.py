@@ -17,6 +17,7 @@ class Surroundings(NamedTuple):
     poses: Array  # (N, 4) of all
     sigmas: Array  # (N,) m: of their positions
     frames: Array  # (N, 4) of all odometry frames; NaN where not known
-    localised: npt.NDArray[np.bool_]  # (N,)
+    localised: npt.NDArray[np.bool_]  # (N,) who is: position and yaw
+    placed: npt.NDArray[np.bool_]  # (N,) whose position is known as well, whatever is known of its yaw
     present: npt.NDArray[np.bool_]  # (N,) who is not gone
     intents: dict[int, Intent]  # by MAV: what the others last said they are about to do

@@ -34,11 +34,18 @@ class TeamPlan:
         """The next formation may be about somewhere else."""
         self._about = None
 
-    def is_known(self, here: Surroundings) -> bool:
-        """Whether the leader is there and it and all teammates are localised."""
+    def is_localised(self, here: Surroundings) -> bool:
+        """Whether the leader is there and it and all teammates are localised: what it takes to set out."""
+        return self._is_led(here) and bool(here.localised[here.present].all())
+
+    def is_placed(self, here: Surroundings) -> bool:
+        """The same, but that nobody's yaw need be known: what it takes to go on. Whoever is not heard for some seconds
+        may have turned; where its odometry began, and so the formation, is known as before."""
+        return self._is_led(here) and bool(here.placed[here.present].all())
+
+    def _is_led(self, here: Surroundings) -> bool:
         leader = self._mission.leader - 1
-        known = bool(here.present[leader]) and bool(np.isfinite(here.frames[leader]).all())
-        return known and bool(here.localised[here.present].all())
+        return bool(here.present[leader]) and bool(np.isfinite(here.frames[leader]).all())
 
     def goal(self, here: Surroundings, intent: Intent) -> Array:
         """(3,) m: the claimed place, in its odometry frame."""
@@ -82,7 +89,7 @@ class TeamPlan:
 
     def _blocked(self, here: Surroundings, stand: Array) -> Mask:
         """(N,) where somebody hangs who is gone: its MAV stays in the air without its agent."""
-        gone = np.flatnonzero(here.localised & ~here.present) + 1
+        gone = np.flatnonzero(here.placed & ~here.present) + 1
         apart = np.linalg.norm(stand[:, None] - self._positions(here, gone.tolist())[None], axis=-1)
         return np.asarray((apart < LEAST_APART_M).any(axis=1))
 
@@ -100,7 +107,7 @@ class TeamPlan:
             return self._about
         if self._mission.about == "leader":
             return np.zeros(3)
-        team = here.present & here.localised
+        team = here.present & here.placed
         centroid = _in_frame(here.frames[self._mission.leader - 1], here.poses[team])[:, :3].mean(0)
         return np.array([centroid[0], centroid[1], 0.0])
 

@@ -24,7 +24,7 @@ def surroundings(rng: np.random.Generator) -> Surroundings:
     poses = np.column_stack([rng.uniform(-2.5, 2.5, (MAVS, 2)), rng.uniform(1, 3, MAVS), rng.uniform(-3, 3, MAVS)])
     frames = poses * [1, 1, 0, 1]
     every = np.ones(MAVS, bool)
-    return Surroundings(10**10, poses[0], poses, np.full(MAVS, 0.02), frames, every, every, {})
+    return Surroundings(10**10, poses[0], poses, np.full(MAVS, 0.02), frames, every, every, every, {})
 
 
 def main() -> None:

@@ -27,7 +27,7 @@ class Team:
         self.pilots = {mav: Pilot(mission, mav) for mav in range(1, mavs + 1)}
         self.readings = np.zeros((mavs, 4))
         self.said = []  # by tick: what each was about to do
-        self.gone, self.unknown = set(), set()
+        self.gone, self.unknown, self.turned = set(), set(), set()  # turned: whose yaw is not known
         self.track = []
 
     @property
@@ -56,6 +56,7 @@ class Team:
             compose(into, self.poses) + noise,
             np.full(mavs, self.noise_m),
             compose(into, self.frames) + noise,
+            np.array([other + 1 not in self.unknown | self.turned | self.gone for other in range(mavs)]),
             np.array([other + 1 not in self.unknown for other in range(mavs)]),
             np.array([other + 1 not in self.gone for other in range(mavs)]),
             {other: intent for other, intent in heard.items() if other != mav and other not in self.gone},
@@ -189,6 +190,23 @@ def test_the_leader_is_back_and_they_go_on():
     team.fly(120)
     assert {team.pilots[mav].intent.phase for mav in range(1, 6)} == {HOLDING}
     assert off_line(team) < 0.1
+
+
+def test_they_go_on_though_one_is_silent_and_may_have_turned():
+    team = Team(Mission((LONG,)), 4)
+    while team.pilots[2].intent.phase != FORMING:
+        team.fly(1)
+    team.turned = {1, 3}
+    team.fly(120)
+    assert {team.pilots[mav].intent.phase for mav in range(1, 6)} == {HOLDING}
+    assert off_line(team) < 0.1
+
+
+def test_nobody_sets_out_while_one_may_have_turned():
+    team = Team(Mission((LONG,), land_after_s=60.0), 4)
+    team.turned = {3}
+    team.fly(150)
+    assert {pilot.intent.phase for pilot in team.pilots.values()} == {READY}
 
 
 def test_one_that_is_started_anew_in_the_air_does_not_take_off_again():
