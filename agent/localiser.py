@@ -14,6 +14,7 @@ from agent.config import AgentConfig
 from agent.estimator.estimator import Beliefs
 from agent.estimator.history import History
 from agent.estimator.joint_update import DetectionSet
+from agent.estimator.motion import HORIZON_S
 from agent.interface.fleet import Fleet
 from agent.interface.frames import Array
 from agent.interface.messages import LOCALISED
@@ -158,5 +159,7 @@ class Localiser:
                     np.sqrt(beliefs.covariances[row].diagonal()[:3].max()),
                     np.sqrt(beliefs.covariances[row, 3, 3]),
                 )
-                reasons[row] = f"known to {position:.2f} m and {yaw:.2f} rad only, {self._needed}"
+                known = f"known to {position:.2f} m and {yaw:.2f} rad only, {self._needed}"
+                silence_s = self._history.silence_s[row]
+                reasons[row] = f"not heard for {silence_s:.1f} s, {known}" if silence_s > HORIZON_S else known
         return Localised(beliefs._replace(states=states), situation._replace(reasons=tuple(reasons)))

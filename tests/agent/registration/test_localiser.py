@@ -167,7 +167,7 @@ def test_who_is_silent_for_a_while_needs_no_search():
 def test_who_is_silent_for_long_is_not_called_localised_and_the_reason_is_given():
     found = list(fly(wandering(18, 5, 40), heard=lambda k, i: i != 4 or k < 20))[-1]
     assert found.beliefs.states.tolist() == [LOCALISED, LOCALISED, LOCALISED, SEARCHING, LOCALISED]
-    assert found.situation.reasons[3].startswith("known to 0.")
+    assert found.situation.reasons[3].startswith("not heard for 2.0 s, known to 0.")
     assert found.situation.reasons[3].endswith(" rad only, 0.15 m and 0.05 rad are needed")
 
 
