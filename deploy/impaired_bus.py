@@ -160,7 +160,9 @@ class _LockstepAir:
 
     def __init__(self, bus: ImpairedBus, inbox: Inbox) -> None:
         self._bus, self._inbox = bus, inbox
-        self._here: list[Sent] = []  # not yet on its link
+        # Not yet on its link; one by stamp, sender and topic, so no more than are sent in a run, whoever floods. Who is
+        # stopped finds minutes of them.
+        self._here: dict[tuple[int, int, int], Sent] = {}
         self._others: list[Packet] = []  # what is no message of a peer
         self._newest_ns: dict[tuple[int, int], int] = {}  # by sender and topic
         self.shown_ns = -1  # stamp of the last tick whose packets were shown
@@ -185,8 +187,8 @@ class _LockstepAir:
             sent = self._bus.sent(packet)
             if sent is None:
                 self._others.append(packet)
-            elif len(self._here) < CAPACITY:
-                self._here.append(sent)
+            else:
+                self._here.setdefault((sent.stamp_ns, sent.sender, sent.topic), sent)
                 place = sent.sender, sent.topic
                 self._newest_ns[place] = max(sent.stamp_ns, self._newest_ns.get(place, -1))
 
@@ -199,10 +201,8 @@ class _LockstepAir:
         ):
             return shown
         self.shown_ns = now_ns
-        ripe = [sent for sent in self._here if sent.stamp_ns <= now_ns]
-        self._here = [sent for sent in self._here if sent.stamp_ns > now_ns]
-        for sent in sorted(ripe):
-            self._bus.in_flight.send(sent, now_ns)
+        for place in sorted(place for place in self._here if place[0] <= now_ns):
+            self._bus.in_flight.send(self._here.pop(place), now_ns)
         return shown + self._bus.in_flight.arrived(now_ns)
 
 
