@@ -16,7 +16,7 @@ from agent.config import AgentConfig
 from agent.controller.hold import Hold
 from agent.controller.surroundings import Surroundings
 from agent.controller.trajectory import Sample
-from agent.estimator.estimator import Beliefs
+from agent.estimator.beliefs import Beliefs
 from agent.estimator.joint_update import DetectionSet
 from agent.interface import clock, messages, topics
 from agent.interface.bus import Bus, Packet

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agent.config import AgentConfig
-from agent.estimator.estimator import Beliefs
+from agent.estimator.beliefs import Beliefs
 from agent.estimator.history import History
 from agent.estimator.joint_update import DetectionSet
 from agent.estimator.motion import HORIZON_S

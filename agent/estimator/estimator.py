@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from agent.config import AgentConfig
 from agent.estimator import cpdaf, odometry_model, visibility
+from agent.estimator.beliefs import NOTHING, Beliefs, Counts, beliefs_of
 from agent.estimator.gating import chi_square_quantile
 from agent.estimator.innovations import Innovations
 from agent.estimator.joint_update import DetectionSet, joint_update
@@ -31,31 +32,7 @@ from agent.estimator.prior import Prior
 from agent.estimator.state import Poses, State, from_frames
 from agent.estimator.station_update import Pairs, station_update
 from agent.interface.fleet import Fleet
-from agent.interface.frames import Array, wrap
-from agent.interface.messages import LOCALISED, SEARCHING
-
-
-class Beliefs(NamedTuple):
-    """What the station believes of every MAV, in the station's odometry frame."""
-
-    states: npt.NDArray[np.uint8]  # (N,) index into messages.STATES
-    poses: Array  # (N, 4) x y z m, yaw rad
-    covariances: Array  # (N, 4, 4)
-    start: Array  # (4,) where the station's odometry began: it has drifted off zero by what the VIO has
-    innovations: int  # of detections associated this tick
-    innovations_inside: int  # how many lie inside their own 95 % gate
-    lost_mass: float  # largest share of hypothesis weight left out in one set
-
-
-class Counts(NamedTuple):
-    """Of one tick."""
-
-    innovations: int
-    inside: int  # their own 95 % gate
-    lost_mass: float
-
-
-NOTHING = Counts(0, 0, 0.0)
+from agent.interface.frames import Array
 
 
 class Snapshot(NamedTuple):
@@ -246,23 +223,8 @@ class Estimator:
 
     def beliefs(self) -> Beliefs:
         """What is believed after `finish`, `admit` and `dismiss`."""
-        mavs, own = self._fleet.mavs, self._station - 1
-        poses, covariances = np.zeros((mavs, 4)), np.tile(np.eye(4) * 1e6, (mavs, 1, 1))
-        states, start = np.full(mavs, SEARCHING, np.uint8), np.zeros(4)
-        if self._state is not None:
-            rows, every = self._rows[:-1], np.arange(len(self.members))
-            bodies = len(every) + 1
-            by_body = self._poses.by_body.copy()
-            by_body[:, 3] = wrap(by_body[:, 3])
-            poses[rows], start = by_body[:-1], by_body[-1]
-            covariances[rows] = self._poses.Sigma.reshape(bodies, 4, bodies, 4)[every, :, every, :]
-            variances = covariances[:, range(4), range(4)]
-            known = (variances[:, :3].max(1) < self._config.localised_sigma_m**2) & (
-                variances[:, 3] < self._config.localised_sigma_rad**2
-            )
-            states[known] = LOCALISED
-        states[own] = LOCALISED
-        return Beliefs(states, poses, covariances, start, *self.counts)
+        poses = None if self._state is None else self._poses
+        return beliefs_of(poses, self._rows[:-1], self._station - 1, self._fleet.mavs, self._config, self.counts)
 
     def admit(self, newcomers: list[int], y: Array, Sigma: Array) -> None:
         """Takes in MAVs that were not members, after `finish`; each must have been heard in this tick.

@@ -16,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from agent.config import AgentConfig
-from agent.estimator.estimator import NOTHING, Beliefs, Counts, Estimator, Snapshot
+from agent.estimator.beliefs import NOTHING, Beliefs, Counts
+from agent.estimator.estimator import Estimator, Snapshot
 from agent.estimator.joint_update import DetectionSet
 from agent.estimator.readings import Readings
 from agent.estimator.state import Poses
