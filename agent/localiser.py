@@ -14,7 +14,6 @@ from agent.config import AgentConfig
 from agent.estimator.beliefs import Beliefs
 from agent.estimator.history import History
 from agent.estimator.joint_update import DetectionSet
-from agent.estimator.motion import HORIZON_S
 from agent.interface.fleet import Fleet
 from agent.interface.frames import Array
 from agent.interface.messages import LOCALISED
@@ -161,5 +160,5 @@ class Localiser:
                 )
                 known = f"known to {position:.2f} m and {yaw:.2f} rad only, {self._needed}"
                 silence_s = self._history.silence_s[row]
-                reasons[row] = f"not heard for {silence_s:.1f} s, {known}" if silence_s > HORIZON_S else known
+                reasons[row] = f"not heard for {silence_s:.1f} s, {known}" if silence_s else known
         return Localised(beliefs._replace(states=states), situation._replace(reasons=tuple(reasons)))

@@ -35,13 +35,13 @@ NOTHING = Counts(0, 0, 0.0)
 
 
 def beliefs_of(
-    poses: Poses | None, members: list[int], own: int, mavs: int, config: AgentConfig, counts: Counts
+    poses: Poses | None, rows: list[int], own: int, mavs: int, config: AgentConfig, counts: Counts
 ) -> Beliefs:
     """From the poses of the members and the start; None before there are any.
 
     Args:
-        poses: of the members, in this order, and of the start.
-        members: rows, that is MAV numbers less one.
+        poses: of the members and of the start.
+        rows: of the members, in this order: their numbers less one.
         own: the station's row.
         mavs: how many there are.
         config: which uncertainty is small enough to be called localised.
@@ -50,11 +50,11 @@ def beliefs_of(
     found, covariances = np.zeros((mavs, 4)), np.tile(np.eye(4) * 1e6, (mavs, 1, 1))
     states, start = np.full(mavs, SEARCHING, np.uint8), np.zeros(4)
     if poses is not None:
-        every, bodies = np.arange(len(members)), len(members) + 1
+        every, bodies = np.arange(len(rows)), len(rows) + 1
         by_body = poses.by_body.copy()
         by_body[:, 3] = wrap(by_body[:, 3])
-        found[members], start = by_body[:-1], by_body[-1]
-        covariances[members] = poses.Sigma.reshape(bodies, 4, bodies, 4)[every, :, every, :]
+        found[rows], start = by_body[:-1], by_body[-1]
+        covariances[rows] = poses.Sigma.reshape(bodies, 4, bodies, 4)[every, :, every, :]
         variances = covariances[:, range(4), range(4)]
         known = (variances[:, :3].max(1) < config.localised_sigma_m**2) & (
             variances[:, 3] < config.localised_sigma_rad**2

@@ -43,7 +43,7 @@ class Snapshot(NamedTuple):
     members: list[int]
     prior: Prior | None
     moments: PoseMoments | None  # of the state
-    in_view: Array
+    in_view: Array  # (N,) see `visibility`
 
 
 class Estimator:
@@ -164,28 +164,28 @@ class Estimator:
         if self._state is None or len(self.members) == 1:
             return
         left = [s for s in sets if s.station in self.members]
-        if self._in_view.min() < 1 and not any(s.labels is not None for s in left):
-            self._look_for_silent(left)
+        among = [
+            DetectionSet(self._row(s.station) + 1, s.spherical, None if s.labels is None else self._known(s.labels))
+            for s in left
+        ]
+        stations, density = [s.station - 1 for s in among], self._config.detector.clutter_density
+        found = Innovations.of(self._poses, self._pairs, stations, [s.spherical for s in among])
+        if self._in_view.min() < 1 and all(s.labels is None for s in left):
+            self._look_for_silent(stations, found, density)
         if self._rules.evaluation and self._poses.Sigma[3::4, 3::4].diagonal().max() <= LINEAR_YAW_VARIANCE:
-            density = self._config.detector.clutter_density
-            among = [
-                DetectionSet(self._row(s.station) + 1, s.spherical, None if s.labels is None else self._known(s.labels))
-                for s in left
-            ]
-            self._poses, undone, distances, lost = joint_update(self._poses, self._pairs, among, density, self._rules)
+            self._poses, undone, distances, lost = joint_update(
+                self._poses, self._pairs, among, found, density, self._rules
+            )
             self._count(distances, lost)
             again = {s.station for s in undone}
-            left = [s for s in left if self._row(s.station) + 1 in again]
+            left = [s for s, own in zip(left, among, strict=True) if own.station in again]
         for station, spherical, labels in left:
             self.associate(station, spherical, labels)
 
-    def _look_for_silent(self, sets: list[DetectionSet]) -> None:
+    def _look_for_silent(self, stations: list[int], found: Innovations | None, density: float) -> None:
         """From here on in this tick, their P_D is multiplied by the probability that they are in view, before it."""
-        rows, spherical = self._rows[:-1], [s.spherical for s in sets]
+        rows = self._rows[:-1]
         in_view = np.append(self._in_view[rows], 1.0)
-        stations = np.array([self._row(s.station) for s in sets], np.intp)
-        found = Innovations.of(self._poses, self._pairs, stations, spherical) if any(map(len, spherical)) else None
-        density = self._config.detector.clutter_density
         after = visibility.looked_for(in_view, self._pairs, stations, found, density)
         self._pairs = self._pairs._replace(P_D=self._pairs.P_D * in_view)
         self._in_view = self._in_view.copy()

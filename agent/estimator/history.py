@@ -217,9 +217,9 @@ class History:
 
     @property
     def silence_s(self) -> Array:
-        """(N,) since the last odometry reading of each MAV, members or not."""
-        silence: Array = self._estimator.motion.unheard[:-1] / self._fleet.rate_hz
-        return silence
+        """(N,) since the last odometry reading of each MAV that is silent (`Motion.silent`), 0 for the others."""
+        motion = self._estimator.motion
+        return np.where(motion.silent, motion.unheard, 0)[:-1] / self._fleet.rate_hz
 
     def team(self, tick: int) -> Team | None:
         """Who was in the filter after this tick, and where; None if that is not known any more."""

@@ -6,7 +6,6 @@ The measurement is linearised: a target's place as its station sees it, turned i
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from agent.estimator.detection_model import cartesian
 from agent.estimator.small_matrices import inverses
@@ -23,16 +22,18 @@ class Innovations(NamedTuple):
     determinant: Array  # (B, B) of S, m^6
 
     @staticmethod
-    def of(poses: Poses, pairs: Pairs, stations: npt.NDArray[np.intp], sets: list[Array]) -> "Innovations":
-        """At least one detection among the sets.
+    def of(poses: Poses, pairs: Pairs, stations: list[int], sets: list[Array]) -> "Innovations | None":
+        """None if all sets are empty.
 
         Args:
             poses: predicted to this tick.
             pairs: of this tick.
-            stations: (K,) the body whose set each is.
+            stations: K, the body whose set each is.
             sets: K times (M, 3) range m, azimuth rad, elevation rad.
         """
         counts = [len(spherical) for spherical in sets]
+        if not any(counts):
+            return None
         station = np.repeat(stations, counts)
         within = np.concatenate([np.arange(n) for n in counts])
         bodies = len(pairs.P_D)

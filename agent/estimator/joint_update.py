@@ -58,18 +58,21 @@ class _Edges(NamedTuple):
         return _Edges(self.station[keep], self.target[keep], self.nu[keep], self.distance[keep])
 
 
-def joint_update(poses: Poses, pairs: Pairs, sets: list[DetectionSet], clutter: float, rules: Rules) -> Joint:
+def joint_update(
+    poses: Poses, pairs: Pairs, sets: list[DetectionSet], found: Innovations | None, clutter: float, rules: Rules
+) -> Joint:
     """The poses given all unambiguous sets of this tick; if the sets carry labels, given all of them.
 
     Args:
         poses: predicted to this tick.
         pairs: of this tick.
         sets: in the order in which what is left is to be done.
+        found: in these sets; None if they are all empty.
         clutter: false detections per m^3.
         rules: gates and pruning.
     """
     told = sets[0].labels is not None if sets else False
-    edges, clear = _edges(poses, pairs, sets, rules, told)
+    edges, clear = _edges(pairs, sets, found, rules, told)
     while len(edges.station):
         block = _Block.of(poses, pairs, edges)
         if told:
@@ -94,19 +97,23 @@ def joint_update(poses: Poses, pairs: Pairs, sets: list[DetectionSet], clutter: 
 
 
 def _edges(
-    poses: Poses, pairs: Pairs, sets: list[DetectionSet], rules: Rules, told: bool
+    pairs: Pairs, sets: list[DetectionSet], found: Innovations | None, rules: Rules, told: bool
 ) -> tuple[_Edges, npt.NDArray[np.bool_]]:
     """The associated pairs of the unambiguous sets, and by body whether its set is one of these."""
-    of, counts = np.array([s.station - 1 for s in sets], np.intp), [len(s.spherical) for s in sets]
     clear = np.ones(len(pairs.P_D), dtype=bool)
-    if not any(counts):
+    if found is None:
         none = np.zeros(0, dtype=np.intp)
         return _Edges(none, none, np.zeros((0, 3)), np.zeros(0)), clear
-    nu, distance, _ = Innovations.of(poses, pairs, of, [s.spherical for s in sets])
+    nu, distance = found.nu, found.distance
     if told:
+        counts = [len(s.spherical) for s in sets]
         label = np.concatenate([s.labels for s in sets if s.labels is not None])
         true = label > 0
-        s, t, m = of.repeat(counts)[true], label[true] - 1, np.concatenate([np.arange(n) for n in counts])[true]
+        s, t, m = (
+            np.repeat([s.station - 1 for s in sets], counts)[true],
+            label[true] - 1,
+            np.concatenate([np.arange(n) for n in counts])[true],
+        )
     else:
         inside = (distance <= rules.gate_threshold) & (pairs.P_D > 0)[:, :, None]
         clear = (inside.sum(2).max(1) <= 1) & (inside.sum(1).max(1) <= 1)

@@ -31,15 +31,13 @@ def later(in_view: Array, silent: npt.NDArray[np.bool_], time_s: float) -> Array
     return np.where(silent, np.clip(switched, 0.0, 1.0), 1.0)
 
 
-def looked_for(
-    in_view: Array, pairs: Pairs, stations: npt.NDArray[np.intp], found: Innovations | None, clutter: float
-) -> Array:
+def looked_for(in_view: Array, pairs: Pairs, stations: list[int], found: Innovations | None, clutter: float) -> Array:
     """The probabilities (B,) of all bodies given a tick's detection sets.
 
     Args:
         in_view: (B,) before.
         pairs: of this tick, P_D of who is in view.
-        stations: (K,) the bodies whose sets there are.
+        stations: K, the bodies whose sets there are.
         found: in these sets; None if they are all empty.
         clutter: false detections per m^3.
     """

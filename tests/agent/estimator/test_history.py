@@ -14,7 +14,6 @@ from agent.interface.messages import LOCALISED
 from tests import links, team
 
 MAVS, STATION, LAG = 4, 2, 10
-RECTANGLE = np.array([[0, 0, 1.5], [2, 0, 1.5], [2, 3, 1.5], [0, 3, 1.5]], float)
 
 
 def flown(seed=0, mavs=MAVS, ticks=40, path=team.circling):
@@ -131,49 +130,6 @@ def test_covariances_stay_symmetric_and_positive_whatever_is_lost_and_late(seed)
         assert np.linalg.eigvalsh((P + P.T) / 2)[0] > -1e-12
 
 
-def unseen(ticks, mav, when):
-    """The same ticks, but that nobody detects this MAV `when` (tick numbers)."""
-    hidden = [tick._replace(sets=dict(tick.sets), labels=dict(tick.labels)) for tick in ticks]
-    for k in when:
-        sets, labels = hidden[k].sets, hidden[k].labels
-        for station in sets:
-            seen = labels[station] != mav
-            sets[station], labels[station] = sets[station][seen], labels[station][seen]
-    return hidden
-
-
-def test_who_is_gone_grows_uncertain_without_bound_and_is_not_forgotten():
-    ticks = unseen(flown(5, ticks=240), 4, range(31, 240))
-    arrived = links.faulty(np.random.default_rng(5), ticks, STATION, lost=lambda k, mav: mav == 4 and k > 30)
-    found = links.off(ticks, list(links.fly(surveyed(ticks), ticks, arrived, STATION)), STATION)
-    gone = 2  # of the others
-    variance = np.trace(found.covariances[:, gone, :3, :3], axis1=1, axis2=2)
-    assert (np.diff(variance[31:]) > 0).all()  # no false detection is him
-    assert variance[239] - variance[238] > 0.5 * (variance[60] - variance[59])  # not slower and slower
-    assert np.linalg.norm(found.errors[239, gone, :3]) < 3  # it has not flown him away
-    squares = found.errors[31:, gone, :3] ** 2 / found.covariances[31:, gone, range(3), range(3)]
-    assert squares.mean() < 4
-
-
-def test_who_comes_back_into_view_is_found_though_he_is_not_heard():
-    ticks = unseen(flown(5, ticks=110), 4, range(31, 100))
-    arrived = links.faulty(np.random.default_rng(5), ticks, STATION, lost=lambda k, mav: mav == 4 and k > 30)
-    found = links.off(ticks, list(links.fly(surveyed(ticks), ticks, arrived, STATION)), STATION)
-    error_m = np.linalg.norm(found.errors[:, 2, :3], axis=1)
-    assert error_m[99] > 0.5
-    assert error_m[103:].max() < 0.25
-
-
-def test_the_reading_that_ends_a_silence_is_believed():
-    ticks = flown(6, ticks=80)
-    arrived = links.faulty(np.random.default_rng(6), ticks, STATION, lost=lambda k, mav: mav == 4 and 30 < k < 60)
-    found = links.off(ticks, list(links.fly(surveyed(ticks), ticks, arrived, STATION)), STATION)
-    trace = np.trace(found.covariances[:, 2, :3, :3], axis1=1, axis2=2)
-    assert trace[59] > 2 * trace[30]
-    assert trace[65] < 1.5 * trace[30]
-    assert np.abs(found.errors[62:, 2, :3]).max() < 0.2
-
-
 def test_a_burst_of_old_packets_is_one_replay_and_does_no_harm():
     """A partition heals: what six peers said in the last seconds comes in one tick."""
     ticks = flown(7, mavs=7, ticks=80)
@@ -217,17 +173,6 @@ def test_ticks_without_its_own_data_are_bridged(missed):
     found = links.off(ticks[-1:], [history.beliefs()], STATION)
     assert np.abs(found.errors[..., :3]).max() < 0.25
     assert (history.beliefs().states == LOCALISED).all()
-
-
-def test_who_is_not_heard_after_a_gap_is_not_localised():
-    """Back after 5 s in which a team that was at rest may have set out: one of them has not been heard yet."""
-    ticks = list(team.fly(np.random.default_rng(9), MAVS, 172, lambda _: RECTANGLE))
-    history = surveyed(ticks)
-    list(links.fly(history, ticks[:120], links.perfect(ticks, STATION)[:120], STATION))
-    for k, heard in ((170, (1, 2, 3)), (171, (1, 2, 3, 4))):
-        history.hear(k, {mav: ticks[k].odometry[mav] for mav in heard}, [])
-        history.estimate()
-        assert (history.beliefs().states == LOCALISED).tolist() == [mav in heard for mav in range(1, MAVS + 1)]
 
 
 @pytest.mark.parametrize("missed", [5, LAG, 3 * LAG, 300])

@@ -9,6 +9,7 @@ from agent.config import AgentConfig
 from agent.estimator.cpdaf import Rules
 from agent.estimator.detection_model import cartesian
 from agent.estimator.estimator import Estimator
+from agent.estimator.innovations import Innovations
 from agent.estimator.joint_update import DetectionSet, joint_update
 from agent.estimator.state import Poses
 from agent.estimator.station_update import Pairs
@@ -20,6 +21,12 @@ from tests.agent.estimator.test_estimator import anees, fly
 
 DETECTOR = Detector()
 RULES = Rules(gate_threshold=21.0, evaluation=True, pruned_mass=1e-6)
+
+
+def jointly(poses, sets, clutter=DETECTOR.clutter_density, rules=RULES):
+    pairs = Pairs.at(poses, DETECTOR)
+    found = Innovations.of(poses, pairs, [s.station - 1 for s in sets], [s.spherical for s in sets])
+    return joint_update(poses, pairs, sets, found, clutter, rules)
 
 
 def tick_in_flight(seed, mavs, ticks=12):
@@ -98,7 +105,7 @@ def every_hypothesis_of_the_tick(poses, sets, rules):
 @pytest.mark.parametrize("seed", range(12))
 def test_it_equals_every_hypothesis_of_the_whole_tick_within_the_lost_mass(seed):
     poses, sets, _ = tick_in_flight([11, seed], mavs=3)
-    joint = joint_update(poses, Pairs.at(poses, DETECTOR), sets, DETECTOR.clutter_density, RULES)
+    joint = jointly(poses, sets)
     taken = [s for s in sets if s.station not in {left.station for left in joint.left}]
     assert taken
     mean, P, reach = every_hypothesis_of_the_tick(poses, taken, RULES)
@@ -112,8 +119,8 @@ def test_single_misses_are_weighed_in(seed):
     """With much clutter the odds of a false detection matter; two at once are still rare."""
     noisy = Rules(21.0, True, 1e-4)
     poses, sets, _ = tick_in_flight([12, seed], mavs=3)
-    joint = joint_update(poses, Pairs.at(poses, DETECTOR), sets, 1.0, noisy)
-    alone = joint_update(poses, Pairs.at(poses, DETECTOR), sets, 1e-9, noisy)
+    joint = jointly(poses, sets, 1.0, noisy)
+    alone = jointly(poses, sets, 1e-9, noisy)
     assert joint.lost_mass < 1e-4
     assert np.trace(joint.poses.Sigma) > np.trace(alone.poses.Sigma)
 
@@ -144,14 +151,14 @@ def test_an_ambiguous_set_is_left_for_later():
     poses, sets, _ = tick_in_flight([14, 0], mavs=4)
     doubled = np.vstack([sets[1].spherical, sets[1].spherical[:1]])  # two detections in one gate
     sets[1] = DetectionSet(2, doubled)
-    joint = joint_update(poses, Pairs.at(poses, DETECTOR), sets, DETECTOR.clutter_density, RULES)
+    joint = jointly(poses, sets)
     assert 2 in [s.station for s in joint.left]
 
 
 def test_told_the_truth_it_takes_every_set():
     poses, sets, tick = tick_in_flight([15, 0], mavs=4)
     sets = [DetectionSet(s.station, s.spherical, tick.labels[s.station]) for s in sets]
-    joint = joint_update(poses, Pairs.at(poses, DETECTOR), sets, DETECTOR.clutter_density, RULES)
+    joint = jointly(poses, sets)
     assert joint.left == []
     assert len(joint.distances) == sum((s.labels > 0).sum() for s in sets)
 
@@ -159,7 +166,7 @@ def test_told_the_truth_it_takes_every_set():
 @pytest.mark.parametrize("sets", [[], [DetectionSet(1, np.zeros((0, 3))), DetectionSet(2, np.zeros((0, 3)))]])
 def test_nothing_seen_changes_nothing(sets):
     poses, _, _ = tick_in_flight([16, 0], mavs=3)
-    joint = joint_update(poses, Pairs.at(poses, DETECTOR), sets, DETECTOR.clutter_density, RULES)
+    joint = jointly(poses, sets)
     assert joint.poses is poses
     assert joint.left == []
 
@@ -167,7 +174,7 @@ def test_nothing_seen_changes_nothing(sets):
 @pytest.mark.parametrize("seed", range(5))
 def test_the_covariance_stays_positive_and_symmetric(seed):
     poses, sets, _ = tick_in_flight([17, seed], mavs=7)
-    P = joint_update(poses, Pairs.at(poses, DETECTOR), sets, DETECTOR.clutter_density, RULES).poses.Sigma
+    P = jointly(poses, sets).poses.Sigma
     assert np.abs(P - P.T).max() < 1e-12
     assert np.linalg.eigvalsh(P).min() > 0
 

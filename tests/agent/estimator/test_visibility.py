@@ -29,8 +29,8 @@ def looked_for(seen, before=0.5, poses=None):
     poses = poses or team()
     sets = [range_and_bearing(np.reshape(places, (-1, 3)) - PLACES[station]) for station, places in seen.items()]
     pairs = Pairs.at(poses, DETECTOR)
-    stations = np.array(list(seen), np.intp)
-    found = Innovations.of(poses, pairs, stations, sets) if any(map(len, sets)) else None
+    stations = list(seen)
+    found = Innovations.of(poses, pairs, stations, sets)
     in_view = np.ones(len(pairs.P_D))
     in_view[SILENT] = before
     after = visibility.looked_for(in_view, pairs, stations, found, DETECTOR.clutter_density)
